@@ -40,43 +40,35 @@ class Clock(Kept):
         [s].
         """
         self.measure_every = measure_every
-        """Number of substeps between two measurements of the particles, from the user's options."""
+        """Number of substeps between two measurements of the particles."""
         self.time, self.substeps, self.last_dt = 0.0, 0, 0.0
         """Current time [s], number of substeps so far, and length of the last substep [s]."""
         self.limiters: dict[str, int] = {}
         """For each limit on the length of substeps, the number of substeps that it determined."""
         self.needed: dict[str, float] = {}
-        """For each limit on the length of substeps, the number of substeps that this limit alone
-        would require if a frame could contain fractions of a substep. For each limit, a substep
-        adds the ratio of its length to the length that the limit allows.
-        """
+        """Like `limiters`, but before the numbers of substeps are rounded up."""
         self.extremes = self.recent = Extremes(0.0, 0.0, 0.0)
         """The last measured values that limit the length of substeps, and the maxima of these
-        values since the host last read them. If the device runs substeps without the host, the host
-        reads these values only every few substeps.
+        values since the host last read them.
         """
         self.strain_rate = 0.0
         """Largest recent velocity gradient |C| [1/s]. The current |C| alone would be zero at the
         turning point of a vibration.
         """
         self.interval = self.since_measured = min(measure_every, MEASURE_EVERY)
-        """Number of substeps between two measurements of speeds, and number of substeps since the
-        last measurement.
-        """
+        """Number of substeps between two measurements of speeds, and since the last measurement."""
         self.strain = self.travel = math.inf
         """Upper bounds of the strain and the displacement [m] of any particle since the last
-        complete measurement. If these upper bounds are infinite, the next measurement of the
-        particles must be complete.
+        complete measurement; infinite if the next measurement must be complete.
         """
         self._last_measured, self.since_complete = 0.0, 0
-        """Time of the last measurement of the particles [s], and number of substeps since the last
-        complete measurement.
+        """Time of the last measurement [s], and number of substeps since the last complete
+        measurement.
         """
         self.values = wp.zeros(3, dtype=model.real, device=model.device)
         """Array on the device: kick, drift and start time of the current substep [s]."""
         self._shared = self.values.numpy() if model.device == "cpu" else None
         self._limits: tuple[Any, Substep] | None = None
-        """Inputs and result of the last computation of the longest stable substep."""
 
     @property
     def behind(self) -> float:
@@ -97,8 +89,7 @@ class Clock(Kept):
         return self._limits[1]
 
     def lag(self, power: float, momentum: NDArray) -> float:
-        """Return the kinetic energy at the time of the positions, minus the kinetic energy at the
-        time of the velocities [J].
+        """Return the kinetic energy at the positions' time minus that at the velocities' time [J].
 
         `power` is the power of the stress [W]; the momentum is not used here.
         """
@@ -116,12 +107,10 @@ class Clock(Kept):
         self.since_measured, self.strain = self.interval, math.inf
 
     def complete(self, calm_strain: float) -> bool:
-        """Return whether the next measurement of the particles must include stiffness and
-        positions.
+        """Return whether the next measurement must include stiffness and positions.
 
-        A measurement of only the speeds suffices under two conditions. First, no particle can have
-        been strained by more than `calm_strain`; a larger strain changes the stiffness. Second, no
-        particle can have left the margin of its window.
+        A strain of more than `calm_strain` changes the stiffness. Particles that move far may leave
+        the margin of their window.
         """
         late = self.since_complete + MEASURE_EVERY > self.measure_every
         elapsed = self.time - self._last_measured
@@ -153,8 +142,8 @@ class Clock(Kept):
             self.strain, self.travel, self.since_complete = 0.0, 0.0, 0
 
     def begin(self, kick: float, drift: float) -> None:
-        """Write the durations `kick` (for v) and `drift` (for x and F) of the substep [s] to the
-        device.
+        """Write the durations of the substep [s] to the device: `kick` for v, and `drift` for x and
+        F.
         """
         values = (kick, drift, self.time)
         if self._shared is not None:
@@ -163,7 +152,7 @@ class Clock(Kept):
             self.values.assign(np.array(values))
 
     def finish(self, drift: float, *, violent: bool = False) -> None:
-        """Count a finished substep of length `drift` [s]; after a violent substep, request a
+        """Count a finished substep of length `drift` [s]; a violent substep requests a
         measurement.
         """
         self.time += drift

@@ -1,7 +1,6 @@
-"""Computes on the host how deep points lie in a solid; kernels use `phy124.kernels.distance`.
+"""Computes on the host how deep points lie in a solid.
 
-A shape is defined by three vectors, as in `phy124.kernels.distance`, and the depth is minus the
-signed distance. `tests/test_depth.py` compares the two modules.
+`phy124.kernels.distance` does so on the device; tests/test_depth.py compares the two modules.
 """
 
 from collections.abc import Callable

@@ -1,8 +1,6 @@
 """Fluctuation: the part of the particles' motion that the grid does not represent.
 
-APIC discards the fluctuation, so APIC needs no additional launches. Before the scatter of a
-substep, all other schemes transfer (v, C) to the grid and back, once or several times. After the
-gather, these schemes restore a part of the difference.
+APIC discards the fluctuation; all other schemes restore a part of the fluctuation.
 """
 
 from __future__ import annotations
@@ -22,7 +20,7 @@ from phy124.mpm.timestep import beside_rpic
 from phy124.mpm.workers import Part
 
 STAGE = "fluctuation"
-"""Name under which reports list the time for the fluctuation of the particles' motion."""
+"""Name under which reports list the time for the fluctuation."""
 
 
 class Scheme(NamedTuple):
@@ -33,9 +31,7 @@ class Scheme(NamedTuple):
     XPIC(m).
     """
     share: float = 1.0
-    """Fraction of the fluctuation, the motion that the grid loses, that is restored: between 0 (as
-    for APIC) and 1.
-    """
+    """Fraction of the fluctuation that is restored: between 0 (as for APIC) and 1."""
     rpic: float = 0.0
     """Rate at which the symmetric part of the velocity gradients C decays [1/s]."""
 
@@ -62,27 +58,21 @@ class Fluctuation:
     state: State
     scheme: Scheme
     v: wp.array
-    """Part of the particles' velocities [P,3], m/s, that the grid does not represent in this
-    substep.
-    """
+    """Velocities that the grid does not represent in this substep [P,3], m/s."""
     C: wp.array
-    """Part of the particles' velocity gradients [P,3,3], 1/s, that the grid does not represent in
-    this substep.
-    """
+    """Velocity gradients that the grid does not represent in this substep [P,3,3], 1/s."""
     v_noise: wp.array
-    """Part of the velocities [P,3], m/s, that is left after several transfers to the grid and back;
-    zero after one.
-    """
+    """Velocities that are left after several transfers [P,3], m/s; zero after one transfer."""
     C_noise: wp.array
-    """Part of the velocity gradients [P,3,3], 1/s, that is left after several transfers to the grid
-    and back; zero after one.
+    """Velocity gradients that are left after several transfers [P,3,3], 1/s; zero after one
+    transfer.
     """
     still: wp.array
     """A clock with a time step of zero, with which the grid update does not change velocities."""
 
     @classmethod
     def of(cls, model: Model, state: State, scheme: Scheme) -> Fluctuation:
-        """Allocate the arrays of the fluctuation; a substep writes them before it reads them."""
+        """Allocate the arrays; a substep writes them before it reads them."""
         t, count = types(model.real), len(model)
         v, v_noise = (wp.zeros(count, dtype=t.vec3, device=model.device) for _ in range(2))
         C, C_noise = (wp.zeros(count, dtype=t.mat33, device=model.device) for _ in range(2))
@@ -90,9 +80,7 @@ class Fluctuation:
         return cls(model, state, scheme, v, C, v_noise, C_noise, still)
 
     def carry(self, part: Part, turn: int) -> Recorded:
-        """Record the transfer to the grid of the motion in pass 0, and of its remainder in later
-        passes.
-        """
+        """Record the transfer of the motion to the grid; after pass 0, of the remaining motion."""
         model, run = self.model, part.particles
         v, C = self._left(turn)
         inputs = [part.chosen, model.mass[run], part.nodes.lattice, part.nodes.window]
@@ -110,7 +98,7 @@ class Fluctuation:
         return STAGE, model.launch(kernel, part.count, [*inputs, v[run], C[run]], outputs)
 
     def keep(self, part: Part) -> Recorded:
-        """Record the kernel launch that restores the fluctuation (lost motion) after the gather."""
+        """Record the launch that restores the fluctuation after the gather."""
         model, run = self.model, part.particles
         read = [array[run] for array in (self.v, self.C, self.v_noise, self.C_noise)]
         outputs = [self.state.v[run], self.state.C[run]]

@@ -1,8 +1,7 @@
 """Free bodies: rigid solids without particles that move freely and exchange momentum with material.
 
 The position, orientation and motion of free bodies are stored on the device; phy124/kernels/free
-explains the mechanics. In each substep, the contact of free bodies with particle bodies is computed
-after the contact between particle bodies and before walls act.
+explains the mechanics.
 """
 
 import math
@@ -28,9 +27,9 @@ from phy124.mpm.tracks import Track, Tracks
 STAGE = "free"
 """Name under which reports list the time for freely moving solids."""
 SOLUTIONS = 3
-"""In each substep, a solid's six equations of motion are solved this number of times. The first
+"""Number of times that a solid's six equations of motion are solved in each substep. The first
 solution finds most of the nodes that approach the solid, and the second solution finds most of the
-friction. The error that remains after the last solution is corrected in the next substep.
+friction.
 """
 MARGIN = 1.5
 """Nodes of the grid up to this distance from a solid can be in contact with the solid [cells]."""
@@ -94,9 +93,7 @@ class FreeBody(NamedTuple):
         return moments
 
     def start(self) -> Vector3:
-        """Return the state of the solid at time 0, in the layout of
-        phy124/kernels/free/numbers.py.
-        """
+        """Return the state at time 0 in the layout of phy124/kernels/free/numbers.py."""
         angular = self.axes * self.moments @ self.axes.T @ np.array(self.spin)
         return np.array([*self.place, *self.turn, *self.velocity, *angular, 0.0])
 
@@ -156,10 +153,6 @@ class FreeBodies(Kept):
     def __init__(self, model: Model, solids: Sequence[FreeBody]) -> None:
         """Place the solids in their initial states.
 
-        Args:
-            model: The particles.
-            solids: The solids.
-
         Raises:
             InputError: A solid is thinner than two cells.
         """
@@ -196,14 +189,14 @@ class FreeBodies(Kept):
         return wp.zeros(size, dtype=wp.float64, device=self._model.device)
 
     def _reach(self, solid: FreeBody) -> int:
-        """Return the largest distance, from the solid's centre, of nodes that the solid can touch
+        """Return the largest distance of a node that the solid can touch from the solid's centre
         [nodes].
         """
         far = float(np.linalg.norm(solid.half)) if solid.shape == "box" else max(solid.half)
         return math.ceil(far / self._model.dx + MARGIN)
 
     def bind(self, planes: Sequence[Plane], tracks: Tracks) -> None:
-        """Replace the flat walls with which the solids collide; their motions are added to the
+        """Replace the flat walls with which the solids collide, and add the walls' motions to the
         tracks.
         """
         if not self.all:
@@ -226,9 +219,7 @@ class FreeBodies(Kept):
         ]
 
     def record(self, grid: Grid, body: int) -> list[Recorded]:
-        """Return the kernel launches, in order, for the contact of all solids with a
-        particle body.
-        """
+        """Return the launches for the contact of all solids with a particle body, in order."""
         solids = range(len(self.all))
         launches = (launch for index in solids for launch in self._meet(index, grid, body))
         return [(STAGE, launch) for launch in launches]
@@ -263,7 +254,6 @@ class FreeBodies(Kept):
         return [(STAGE, self._walls_launch(index, drifts=True)) for index in range(len(self.all))]
 
     def _walls_launch(self, index: int, *, drifts: bool) -> wp.Launch | None:
-        """Record the kernel launch for the contact of a freely moving solid with the flat walls."""
         solid, tracks = self.all[index], self._tracks
         inputs = [solid.mass, wp.vec3d(*solid.moments), wp.vec3d(*solid.half), POINTS[solid.shape]]
         inputs += [*self._walls, tracks.clock, tracks.values, tracks.rates]
@@ -274,10 +264,7 @@ class FreeBodies(Kept):
     def add(self, index: int, body: int, row: NDArray) -> None:
         """Add the impulse and the work of a solid on a particle body to the running sums.
 
-        Args:
-            index: Index of the solid.
-            body: Index of the body.
-            row: The values to add [EXCHANGE], in the layout of phy124/kernels/free/numbers.py.
+        `row` [EXCHANGE] has the layout of phy124/kernels/free/numbers.py.
         """
         sums = self._totals[index][body]
         sums.assign(np.asarray(sums.numpy(), np.float64) + row)
@@ -309,9 +296,7 @@ class FreeBodies(Kept):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of all pairs of a particle body and a solid: the body's name, then the solid's
-        name.
-        """
+        """Names of all pairs of a particle body and a solid, such as `body_on_solid`."""
         called = self._model.names or tuple(map(str, range(self._model.bodies)))
         return tuple(f"{called[body]}_on_{solid.name}" for solid in self.all for body in self._met)
 
@@ -319,9 +304,8 @@ class FreeBodies(Kept):
         """Return the mean wrench of each particle body on each solid during the last `seconds`
         seconds.
 
-        The mean starts at the call of `begin`.
-
-        The wrenches are in the order of `names`. Torques are about the origin.
+        The mean starts at the call of `begin`. The order is that of `names`. Torques are about the
+        origin.
         """
         sums = -(self._total() - self._begun)[:, self._met] / seconds
         rows = sums.reshape(-1, kernels.EXCHANGE)

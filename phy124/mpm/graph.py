@@ -2,12 +2,9 @@
 
 On CUDA a launch from Python takes longer than many of the kernels. One substep is therefore
 captured as the body of a loop on the device. The last kernel of the loop
-(phy124/kernels/timestep.py) chooses the next substep. This kernel ends the loop when the frame's
-time is reached, or after `MOST` substeps, so that a run can be stopped. The kernel also ends the
-loop when only the host can continue: if the window must follow the particles, or if the next
-substep may have to be rejected (phy124/mpm/rejection.py). A condition in a graph takes longer than
-most kernels. Substeps that cannot be the last one therefore run without a condition. The same graph
-also runs on the CPU, where the tests compare its results with the host's loop, bit for bit.
+(phy124/kernels/timestep.py) ends the loop when only the host can continue. A condition in a graph
+takes longer than most kernels. Substeps that cannot be the last one therefore run without a
+condition.
 """
 
 from collections.abc import Callable, Iterable
@@ -30,13 +27,11 @@ STAGE = "graph"
 LIMITERS = ("elastic", "speed", "gradient", "viscous", "user")
 """Names of the limits of a substep's length, in the order of phy124/kernels/timestep.py."""
 STRAIN = 1.0
-"""Sum of |C| dt over substeps after which control returns to the host, so that the host can repair
-particles.
-"""
+"""Sum of |C| dt over substeps after which the host continues, so that it can repair particles."""
 MOST = 400
-"""Number of substeps of a graph after which control returns to the host, so that the host can stop
-the run. Returning control to the host takes about as long as ten substeps. This number of substeps
-is constant, so that a repeated run takes the same substeps.
+"""Number of substeps after which the host continues, so that it can stop the run. Returning control
+to the host takes about as long as ten substeps. The number is constant, so that a repeated run
+takes the same substeps.
 """
 
 
@@ -46,15 +41,6 @@ class Graph:
     def __init__(
         self, model: Model, clock: Clock, grid: Grid, worker: Worker, stray: wp.array
     ) -> None:
-        """Prepare the graph of a run.
-
-        Args:
-            model: The constants of the run.
-            clock: The clock, updated after each run.
-            grid: The grid; the particles may not leave its window.
-            worker: The only worker; its launches measure the limits.
-            stray: Number of particles with values that are not finite [1].
-        """
         self._model, self._clock, self._grid = model, clock, grid
         self._worker, self._stray, device = worker, stray, model.device
         self._limits = Mirrored(timestep.Limits, 1, device)
@@ -67,9 +53,7 @@ class Graph:
         self._per_substep, self._reason = 0, 0
 
     def forget(self) -> None:
-        """Discard the captured graph; call this when the kernel launches of a substep have
-        changed.
-        """
+        """Discard the captured graph; call this when the launches of a substep have changed."""
         self._captured = None
 
     def run(
@@ -103,7 +87,6 @@ class Graph:
         return self._reason != timestep.CAREFUL
 
     def _launch(self) -> None:
-        """Run the graph and wait until it ends."""
         wp.capture_launch(self._captured)
         self._reason = self._download()
 
@@ -167,8 +150,8 @@ class Graph:
         self._limiters.upload({})
 
     def _download(self) -> int:
-        """Update the clock from the device; return the code of the reason why the series of
-        substeps ended.
+        """Update the clock from the device; return the code of the reason why the substeps
+        ended.
         """
         clock, limiters = self._clock, self._limiters.download()
         state = self._progress.download()[0]
@@ -188,21 +171,12 @@ class Mirrored:
     """An array on the device with a copy in the host's memory."""
 
     def __init__(self, dtype: Any, count: int, device: str) -> None:
-        """Allocate the array and its copy in the host's memory, filled with zeros.
-
-        Args:
-            dtype: Type of an item (a number or a structure).
-            count: Number of items.
-            device: Warp device.
-        """
         self.array = wp.zeros(count, dtype=dtype, device=device)
         self._staged = wp.zeros(count, dtype=dtype, device="cpu", pinned=device != "cpu")
         self._values: Any = self._staged.numpy()
 
     def upload(self, fields: dict[str, Any]) -> None:
-        """Set the named fields of all items in the array to certain values, and all other fields to
-        zero.
-        """
+        """Set the named fields of all items, and all other fields to zero."""
         self._values[:] = np.zeros_like(self._values)
         for name, value in fields.items():
             self._values[name] = value

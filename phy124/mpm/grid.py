@@ -1,7 +1,6 @@
 """Grid: nodes in a window that follows the particles.
 
-Each body has a separate grid. All grids have common node positions. If two bodies reach the same
-node, each body has a separate velocity there.
+Each body has a separate grid. All grids have common node positions.
 """
 
 from collections.abc import Iterator, Sequence
@@ -57,14 +56,11 @@ class Grid:
         """Whether `momenta` and `nodes` are separate arrays; the gather then clears `momenta`."""
         self._changes: wp.array | None = None
         self.particles = particles
-        """The range of indices of the body's particles."""
         self.stale = True
-        """Whether the particles may have moved so far that the grid's window no longer contains
-        them.
-        """
+        """Whether the window may no longer contain all particles."""
         self.layers: tuple[int, int] | None = None
-        """Layers of nodes (first <= i < last) that the kernel launches recorded next may change;
-        None: all layers.
+        """Layers of nodes (first <= i < last) that the launches recorded next may change; None:
+        all.
         """
         self.worker, self.workers = 0, 1
         """Index of the worker whose kernel launches are being recorded, and number of workers."""
@@ -80,10 +76,7 @@ class Grid:
     ) -> Iterator[None]:
         """Record kernel launches for one worker within this context.
 
-        Args:
-            layers: Layers first <= i < last for the launches; None for all layers.
-            worker: Index of the worker.
-            workers: Number of workers.
+        The launches are for the `layers` first <= i < last; None: all layers.
         """
         self.layers, self.worker, self.workers = layers, worker, workers
         try:
@@ -94,9 +87,7 @@ class Grid:
     def fit(self, lower: NDArray, upper: NDArray) -> bool:
         """Fit the window to the particles with a margin; return whether the window changed.
 
-        Args:
-            lower: Lowest corner of the particles [3], m.
-            upper: Highest corner of the particles [3], m.
+        `lower` and `upper` [3], m, are the corners of the particles' bounding box.
 
         Raises:
             Unstable: Particles were outside the old window, so the grid did not move them; or
@@ -121,7 +112,7 @@ class Grid:
         self.use(low, size, wp.zeros(count, dtype=self.vec4, device=self.device))
 
     def use(self, low: NDArray, size: NDArray, nodes: wp.array) -> None:
-        """Set the window to `size` [3] nodes from the node `low` [3] on; `nodes` has an additional
+        """Use the window of `size` [3] nodes from node `low` [3] on; `nodes` has an additional
         node.
         """
         self.low, self.size, self.nodes, self.stale = low, size, nodes, False
@@ -131,9 +122,8 @@ class Grid:
 
     @property
     def changes(self) -> wp.array:
-        """Change of each node's velocity by the wall that currently acts. This array of velocity
-        changes is allocated at first use. Before each wall acts, all these velocity changes are
-        zero.
+        """Change of each node's velocity by the wall that currently acts; zero before a
+        wall acts.
         """
         if self._changes is None:
             self._changes = wp.zeros_like(self.nodes)
@@ -205,12 +195,8 @@ def fit_all(grids: Sequence[Grid], corners: Sequence[Corners], *, returned: bool
 def corners_of(rows: NDArray[np.float64], bodies: Sequence[int], count: int) -> list[Corners]:
     """Return the lowest and highest corner of each body's bounding box.
 
-    The corners of a body without a row in `rows` are infinite.
-
-    Args:
-        rows: Measured maxima of parts of the particles [R,M]; see `Maxima.of`.
-        bodies: The body of each row.
-        count: Number of bodies.
+    The corners of a body without a row in `rows` are infinite. The rows [R,M] are measured maxima
+    of parts of the particles (see `Maxima.of`); `bodies` are the bodies of the rows.
     """
     if count == 1:
         return [Maxima.of(rows.max(axis=0)).corners]

@@ -1,7 +1,4 @@
-"""Model and State: the constants of a run, and the arrays that every substep changes.
-
-The model contains the particles at rest, their materials and the grid's spacing.
-"""
+"""Model and State: the constants of a run, and the arrays that every substep changes."""
 
 from __future__ import annotations
 
@@ -33,14 +30,11 @@ class Group:
     start: int
     stop: int
     theta: wp.array
-    """Parameters of the group's constitutive law: one row for all particles, or one row per
-    particle.
-    """
+    """Parameters of the group's law: one row for all particles, or one row per particle."""
     body: int = 0
     """Index of the body to which the group's particles belong."""
 
     def __len__(self) -> int:
-        """Return the number of particles in the group."""
         return self.stop - self.start
 
     @property
@@ -75,17 +69,15 @@ class Model:
     origin: tuple[float, float, float]
     """Position of node (0, 0, 0) of the grid [m]."""
     cfl: float
-    """Length of a substep as a fraction of the elastic limit; some parameters of constitutive laws
-    depend on this fraction.
+    """Length of a substep as a fraction of the elastic limit; some parameters of laws depend on
+    this fraction.
     """
     precision: str
     """Precision of the run: float32 or float64."""
     device: str
     """Name of the Warp device, "cpu" or "cuda:0"."""
     form: str
-    """Implementation of the transfers between particles and grid: "simd" (float32 on the CPU),
-    "plain" or "spline".
-    """
+    """Transfers between particles and grid: "simd" (float32 on the CPU), "plain" or "spline"."""
     held: frozenset[int] = frozenset()
     """Indices of the bodies that never move."""
     wet: frozenset[int] = frozenset()
@@ -198,7 +190,6 @@ class Model:
         )
 
     def __len__(self) -> int:
-        """Return the number of particles of the model."""
         return len(self.rest)
 
     @property
@@ -216,16 +207,15 @@ class Model:
         return slice(0, len(self)) if name is None else self.particles(self.names.index(name))
 
     def rest_of(self, name: str | None) -> NDArray[np.float64]:
-        """Return the rest positions [Q,3], m, of a body's particles, or of all particles if the
-        name is None. The body may also belong only to the model of all bodies (`whole`).
+        """Return the rest positions of a body's particles [Q,3], m; None: of all particles.
+
+        The body may also belong only to the model of all bodies (`whole`).
         """
         model = self if self.whole is None else self.whole
         return model.rest[model.named(name)]
 
     def top_of(self, name: str | None) -> float:
-        """Return the height [m] of a body's top or, if `name` is None, of all bodies and free
-        solids.
-        """
+        """Return the height of a body's top [m]; None: of all bodies and free solids."""
         model = self if self.whole is None else self.whole
         heights = [height for key, height in model.tops.items() if name in (None, key)]
         return max([float(model.rest_of(name)[:, 2].max()), *heights])
@@ -265,8 +255,7 @@ class Model:
         return _array(values, dtype, self.precision, self.device)
 
     def launch(self, kernel: Any, dim: Any, inputs: list, outputs: list) -> wp.Launch | None:
-        """Record a kernel launch on the model's device; return None if the launch would have no
-        threads.
+        """Record a kernel launch on the model's device; return None if the launch has no threads.
 
         Args:
             kernel: The Warp kernel.
@@ -296,9 +285,7 @@ class State(Kept):
     history: wp.array
     """History variables of the constitutive laws [P,2]; empty if no law has any."""
     total: wp.array
-    """Total deformation gradients [P,3,3], which include plastic strain; empty if no material is
-    plastic.
-    """
+    """Total deformation gradients [P,3,3], with plastic strain; empty if no material is plastic."""
 
     @classmethod
     def of(cls, model: Model, v: NDArray | None = None, C: NDArray | None = None) -> State:
@@ -330,7 +317,7 @@ class State(Kept):
 
     @property
     def deformation(self) -> wp.array:
-        """Deformation gradients that Gaussians follow: F_total if a material is plastic, otherwise
+        """Deformation gradients that Gaussians follow: `total` if a material is plastic, otherwise
         F.
         """
         return self.total if len(self.total) else self.F
@@ -367,8 +354,7 @@ def parameters(
     dx: float,
     cfl: float,
 ) -> NDArray[np.float64]:
-    """Return the parameters of a law's particles: one row if all are equal, otherwise one per
-    particle.
+    """Return the parameters of a law's particles: one row if all are equal, otherwise one each.
 
     Args:
         materials: All materials.
@@ -388,8 +374,7 @@ def parameters(
 
 
 def _runs(materials: Sequence[Material], material: NDArray, body: NDArray) -> list[tuple[int, int]]:
-    """Return the first index and the end index of the particles of each constitutive law in each
-    body.
+    """Return the first index and the end index of each law's particles in each body.
 
     Raises:
         ValueError: The particles of different bodies or laws are mixed, or a body has no particle.

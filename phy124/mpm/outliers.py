@@ -2,9 +2,8 @@
 
 The window grows with the particles, but a single particle that leaves at high speed must not make
 the window grow without bound. The grid is therefore restricted to a box around the centre of the
-particles in two cases: if the window would have more than `MAX_NODES` nodes, or more than `GROWTH`
-times the initial number. Particles outside the box are counted, and only the uniform acceleration
-acts on them. A particle that returns to the box takes part in the transfers again.
+particles. Only the uniform acceleration acts on particles outside the box. A particle that returns
+to the box takes part in the transfers again.
 """
 
 import math
@@ -29,13 +28,9 @@ MAX_NODES = 2**25
 MIN_NODES = 2**20
 """A window of the grid with at most this number of nodes is always allowed."""
 GROWTH = 16
-"""The number of nodes in a window may grow to this multiple of the number of nodes in the initial
-window.
-"""
+"""Largest number of nodes in a window, relative to the number in the initial window."""
 EVERYWHERE = 1e30
-"""A coordinate that stands for infinity [m]; it is larger than any position, but finite in
-float32.
-"""
+"""A coordinate that stands for infinity [m]; it is finite in float32."""
 
 
 class Outliers(Kept):
@@ -55,13 +50,9 @@ class Outliers(Kept):
         runs = [model.rest[model.particles(body)] for body in range(model.bodies)]
         first = sum(self._nodes(*np.quantile(rest, (0.05, 0.95), axis=0)) for rest in runs)
         self.allowed = min(MAX_NODES, max(MIN_NODES, GROWTH * min(first, MAX_NODES)))
-        """Largest number of nodes that a window of the grid may have if it contains all
-        particles.
-        """
+        """Largest number of nodes of a window that contains all particles."""
         self.most, self.changed = 0, False
-        """Largest number of outliers so far, and whether the last measurement changed their
-        indices.
-        """
+        """Largest number of outliers so far, and whether the last measurement changed `indices`."""
 
     @property
     def count(self) -> int:
@@ -78,7 +69,7 @@ class Outliers(Kept):
     def confine(self, corners: Sequence[tuple[NDArray, NDArray]]) -> bool:
         """Adapt the box to the corners of the bodies' bounding boxes [3], m.
 
-        The function returns whether the particles must be measured again.
+        The result is whether the particles must be measured again.
         """
         if self.bounded:
             lower = np.min([low for low, _ in corners], axis=0)
@@ -128,10 +119,7 @@ class Outliers(Kept):
         self.most = max(self.most, len(out))
 
     def _beyond(self) -> NDArray[np.int32]:
-        """Return the indices of particles outside the box of the grid.
-
-        The comparison uses the device's precision.
-        """
+        """Return the outliers' indices; the comparison uses the device's precision."""
         (low, high), x = self.corners.numpy(), self._state.x.numpy()
         return np.flatnonzero(~np.all((x >= low) & (x <= high), axis=1)).astype(np.int32)
 

@@ -1,7 +1,7 @@
 """Pairs: computes the contact between bodies, and the impulses between them.
 
-Any two bodies may touch. There is a launch only for pairs with overlapping windows, so bodies that
-are far apart take no computing time.
+There is a launch only for pairs with overlapping windows, so bodies that are far apart take no
+computing time.
 """
 
 import itertools
@@ -24,14 +24,14 @@ from phy124.mpm.stage import Recorded
 STAGE = "pairs"
 """Name under which reports list the time for contact between bodies."""
 ROOM = 16
-"""Length of the array in which a worker sums the impulses between a pair of bodies. With this
-length of the arrays, no two workers write to the same cache line.
+"""Length of the array in which a worker sums a pair's impulses. With this length, no two workers
+write to the same cache line.
 """
 Box = tuple[NDArray[np.int64], NDArray[np.int64]]
 
 
 class Pair(NamedTuple):
-    """Contact parameters of two bodies; pairs without such parameters have the default friction."""
+    """Contact parameters of two bodies."""
 
     first: int
     """Index of the first body."""
@@ -44,17 +44,13 @@ class Pair(NamedTuple):
 
 
 class Pairs(Kept):
-    """All pairs of bodies of a run, and the contact between them."""
+    """All pairs of bodies of a run."""
 
     kept = ("_sums", "_begun", "_added")
 
     def __init__(self, model: Model, listed: Sequence[Pair], workers: int) -> None:
-        """Allocate the sums of impulses.
-
-        Args:
-            model: The bodies.
-            listed: Pairs of bodies whose contact differs from the default.
-            workers: Number of workers.
+        """Allocate the sums of impulses; `listed` are the pairs whose contact differs from the
+        default.
 
         Raises:
             ValueError: A pair does not consist of two bodies of the model, or it is listed twice.
@@ -67,13 +63,13 @@ class Pairs(Kept):
             )
         pairs = [chosen.get(number, Pair(*number)) for number in numbers]
         self.all = [pair for pair in pairs if not {pair.first, pair.second} <= model.held]
-        """All pairs of bodies, except pairs of two fixed bodies, which cannot act on each other."""
+        """All pairs of bodies, except pairs of two fixed bodies."""
         self._model = model
         shape = (workers, len(self.all), ROOM)
         self._sums = wp.zeros(shape, dtype=wp.float64, device=model.device)
         self._added = np.zeros((len(self.all), SUMS))
-        """For each pair of bodies [pairs,6], sums of a liquid's impulses. The impulses of a liquid
-        are computed by another solver.
+        """Impulses between liquids and bodies, which another solver computes, summed per pair
+        [pairs,6].
         """
         self._begun = self._total()
         self._fill = fill_of(model)
@@ -83,9 +79,7 @@ class Pairs(Kept):
         self._begun = self._total()
 
     def _total(self) -> NDArray[np.float64]:
-        """Return, for each pair, the impulse and moment of the first body on the second body
-        [pairs,6].
-        """
+        """Return each pair's impulse and moment of the first body on the second [pairs,6]."""
         return np.asarray(self._sums.numpy()).sum(axis=0)[:, :SUMS] + self._added
 
     def add(self, first: int, second: int, impulse: NDArray, moment: NDArray) -> None:
@@ -129,9 +123,7 @@ class Pairs(Kept):
     def wrenches(self, seconds: float) -> dict[tuple[int, int], Wrench]:
         """Return each pair's mean wrench of the first body on the second since the call of `begin`.
 
-        `begin` was called `seconds` ago.
-
-        The torque is about the origin. The wrench of the second body on the first is the opposite.
+        `begin` was called `seconds` ago. The torque is about the origin.
         """
         sums = (self._total() - self._begun) / seconds
         return {
@@ -140,11 +132,10 @@ class Pairs(Kept):
         }
 
     def record(self, grids: Sequence[Grid], worker: int, workers: int) -> list[Recorded]:
-        """Record the kernel launches of a worker, one for each pair of bodies whose windows
-        overlap.
+        """Record a worker's launches, one for each pair of bodies whose windows overlap.
 
-        A launch is limited to the worker's layers of the lattice. Every node is in the layers of
-        exactly one worker, which processes all pairs at this node in order.
+        Every node is in the layers of exactly one worker, which processes all pairs at this node in
+        order.
         """
         boxes = [_overlap(grids[pair.first], grids[pair.second]) for pair in self.all]
         near = [(low[0], high[0]) for low, high in boxes if np.all(high > low)]
@@ -190,6 +181,6 @@ def kernels(real: Any) -> list[Any]:
 
 
 def _overlap(first: Grid, second: Grid) -> Box:
-    """Return the first node in the windows of both bodies, and the node after the last."""
+    """Return the first node in both windows, and the node after the last."""
     low = np.maximum(first.low, second.low)
     return low, np.minimum(first.low + first.size, second.low + second.size)

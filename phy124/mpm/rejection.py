@@ -22,21 +22,16 @@ from phy124.mpm.timestep import CELLS_PER_STEP, STRAIN_PER_STEP, TRAVEL
 from phy124.mpm.tracks import Tracks
 
 TRIES = 100
-"""Largest number of trials for a substep; each trial is at most half as long as the trial
-before.
+"""Largest number of trials for a substep; each trial is at most half as long as the
+previous one.
 """
 FIRST = 4
-"""Number of substeps at the start of a run that are trials, if any force may change velocities
-suddenly.
-"""
+"""Number of trial substeps at the start of a run if a force may change velocities suddenly."""
 PULL = 0.1
-"""A substep is run as a trial if forces could move a particle at rest farther than this in the
-substep [cells].
-"""
+"""Displacement of a particle by forces above which a substep is run as a trial [cells]."""
 ROUNDED = 1 - 1e-6
-"""The bounds of forces and walls also cover this fraction of the previous frame. The first moment
-of the previous frame is left out, because rounding errors could add forces that ended just before
-it.
+"""Fraction of the previous frame that the bounds of forces and walls also cover. With the whole
+frame, rounding errors could add forces that ended just before the frame.
 """
 
 
@@ -51,15 +46,6 @@ class StepRejection:
         pushes: Sequence[Stage],
         accumulators: Sequence[Sums],
     ) -> None:
-        """Prepare the trials of a run.
-
-        Args:
-            model: The constants of the run.
-            state: The state, whose v and C are restored after a rejected substep.
-            tracks: Strengths of forces and speeds of walls over time.
-            pushes: Stages of forces on particles.
-            accumulators: Sums that are restored after a rejected substep.
-        """
         self._model, self._tracks, self._accumulators = model, tracks, accumulators
         turning = any(not stage.keeps_C for stage in pushes)
         self._pushed = [state.v, *([state.C] if turning else [])] if pushes else []
@@ -89,7 +75,7 @@ class StepRejection:
         """Upper bound of the acceleration of particles by forces [m/s^2]."""
         tops = [stage.top_speed(before, end) for stage in self._pushes if stage.top_speed]
         self.wall = max(_max_rate(self._tracks, before, end), *tops, 0.0)
-        """Largest speed of a wall or a stream [m/s]; a particle may reach this speed in a single
+        """Largest speed of a wall or a stream [m/s], which a particle may reach in a single
         substep.
         """
         self._changing = any(track.changes(before, end) for track in self._tracks.tracks)
@@ -101,13 +87,8 @@ class StepRejection:
     def must_try(self, clock: Clock, dt: float, *, flying: bool = False) -> bool:
         """Return whether a substep may move a particle or a wall too far.
 
-        The estimate is based on the last measurement.
-
-        Args:
-            clock: Clock with the last measurement.
-            dt: Length of the substep [s].
-            flying: Whether no force, wall or body is near the window, so that high speeds do no
-                harm.
+        The estimate is based on the last measurement. If `flying` is true, no force, wall or body
+        is near the window, so that high speeds do no harm.
         """
         extremes, dx = clock.extremes, self._model.dx
         fast = 2 * max(extremes.speed, self.wall) * dt > CELLS_PER_STEP * dx
@@ -121,9 +102,8 @@ class StepRejection:
     def interval(self, clock: Clock, calm: float) -> int:
         """Return the number of substeps between two measurements of speeds.
 
-        The number in the user's options is returned if it is safe.
-
-        Up to the strain `calm`, no material stiffens significantly.
+        The number in the user's options is returned if it is safe. Up to the strain `calm`, no
+        material stiffens significantly.
         """
         every, extremes, dx = clock.measure_every, clock.extremes, self._model.dx
         if every <= MEASURE_EVERY or not extremes.stiffness > 0:
@@ -137,12 +117,10 @@ class StepRejection:
         return every if each * every <= 1 else max(MEASURE_EVERY, int(1 / each))
 
     def room(self, clock: Clock) -> int:
-        """Return the number of substeps in which no particle can leave the margin of its grid's
-        window.
+        """Return the number of substeps in which no particle can leave the margin of its window.
 
         In substep k, a particle moves by at most `(v + k a dt) dt`. The term `a dt^2` is limited to
-        `PULL` cells. If `a dt^2` is larger, substeps are run as trials. After a violent trial,
-        the particles are measured.
+        `PULL` cells, because substeps with a larger term are run as trials.
         """
         dx, dt = self._model.dx, clock.stable().dt
         if not math.isfinite(dt):

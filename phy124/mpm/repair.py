@@ -17,15 +17,11 @@ from phy124.mpm.kept import Kept
 from phy124.mpm.model import Model, State
 
 SOUND_J = (1e-5, 1e6)
-"""Range of volume ratios that count as valid; a particle outside this range is reset and
-counted.
-"""
+"""Range of valid volume ratios; a particle outside this range is reset and counted."""
 SOUND_F = 1e3
-"""Largest norm of a particle's deformation gradient that counts as valid."""
+"""Largest valid norm of a deformation gradient."""
 NARROWEST = 1e-5
-"""If the smallest stretch of a particle is below this fraction of its largest stretch, its volume
-ratio J may be wrong.
-"""
+"""If the ratio of the smallest to the largest stretch is smaller, the volume ratio may be wrong."""
 MAX_TOTAL = 1e6
 """Largest norm of the total deformation gradient F_total. The visible shape of a particle already
 stops growing at a stretch of 4.
@@ -47,15 +43,11 @@ class Repair(Kept):
     def __init__(self, model: Model, state: State, *, needed: bool = True) -> None:
         """Record the kernel launches that repair particles.
 
-        Args:
-            model: The particles.
-            state: State of the particles.
-            needed: Whether deformations need repair; deformations on lattices do not, since they
-                are computed from the nodes.
+        Deformations on lattices need no repair, since they are computed from the nodes.
         """
         self.count, self.first = 0, NO_PARTICLE
-        """Number of particles that were reset in finished frames, and the lowest index of such a
-        particle.
+        """Number of particles that were reset in finished frames, and the lowest of their
+        indices.
         """
         self._resets = wp.zeros(2, dtype=int, device=model.device)
         real, limits = model.real, [*SOUND_J, SOUND_F, NARROWEST]
@@ -66,7 +58,7 @@ class Repair(Kept):
         self._started, self._strain, self._last = False, 0.0, 0.0
 
     def begin(self, clock: Clock) -> None:
-        """Start a frame, or another attempt at the same frame; repair the deformations of the
+        """Start a frame, or another attempt at the frame: repair the deformations of the
         particles.
         """
         self._resets.assign([self.count, self.first])
@@ -75,9 +67,7 @@ class Repair(Kept):
         self._started, self._strain, self._last = True, 0.0, clock.time
 
     def substep(self, clock: Clock) -> None:
-        """Repair deformations after a substep if the strain since the last check exceeds
-        `AFTER_STRAIN`.
-        """
+        """Repair deformations if the strain since the last check exceeds `AFTER_STRAIN`."""
         if not self._started:
             return
         self._strain += clock.extremes.gradient * (clock.time - self._last)

@@ -60,9 +60,7 @@ class Solver(Kept):
     projects: ClassVar[bool] = False
     clock_type: ClassVar[type[Clock]] = Clock
     guest: Any = None
-    """A kernel launch of another solver, which runs after the update of the grids and before the
-    walls.
-    """
+    """Launch of another solver, which runs between the update of the grids and the walls."""
 
     def __init__(
         self,
@@ -111,7 +109,6 @@ class Solver(Kept):
         self.on_device = on_device and model.bodies == 1 and not free and not model.held
         """Whether the substeps of a frame run as a CUDA graph."""
         self.grids = grids_of(model, apart=self.on_device)
-        """The grid of each body."""
         self.outliers = Outliers(model, self.state)
         self.repair = Repair(model, self.state)
         count = usable_workers(len(model), model.device, threads)
@@ -121,14 +118,11 @@ class Solver(Kept):
         for reader in gathered:
             reader.allocate(model, count)
         self.pairs = Pairs(model, pairs, count)
-        """Contact between bodies, and the impulses between them."""
         self.free = FreeBodies(model, free)
         self._stray = wp.zeros(1, dtype=int, device=model.device)
         self._missed = wp.zeros((count, 1), dtype=int, device=model.device)
         self.flying = False
-        """Whether the particles fly freely: no force acts on them, and no wall or other body is
-        near the grid's window.
-        """
+        """Whether no force acts on the particles, and no wall or other body is near the window."""
         self._moved = False
         """Whether a window has moved since the kernel launches were recorded."""
         self.softened = 1.0
@@ -245,9 +239,7 @@ class Solver(Kept):
         self.clock.finish(drift)
 
     def renew(self) -> None:
-        """Measure all limits of a substep again; call this after the state was changed from
-        outside.
-        """
+        """Measure all limits again; call this after the state was changed from outside."""
         self.clock.expire()
         for grid in self.grids:
             grid.stale = True
@@ -274,9 +266,7 @@ class Solver(Kept):
             self._record()
 
     def _restore_slabs(self, snapshot: dict[str, Any]) -> bool:
-        """Restore the workers' nodes (slabs); return False if the snapshot has another number of
-        threads.
-        """
+        """Restore the workers' nodes; return False if the number of threads differs."""
         if self.slabs is None:
             return True
         known = self.slabs.restore(snapshot)
@@ -318,7 +308,7 @@ class Solver(Kept):
         return dt
 
     def _scatter(self, kick: float, drift: float) -> None:
-        """Run all phases except the gather: clock, tracks, forces, scatter, grid update, walls."""
+        """Run all phases of a substep except the gather."""
         self.clock.begin(kick, drift)
         if self.tracks.vary:
             run_timed(self.timings, "tracks", self._sample.launch)
@@ -326,9 +316,7 @@ class Solver(Kept):
             self.runner.run(phase)
 
     def _run_graph(self, until: float) -> bool:
-        """Take substeps of a frame on the device; return False if the host must take the next
-        substep.
-        """
+        """Take substeps on the device; return False if the host must take the next substep."""
         alone = self.on_device and len(self.workers) == 1
         if not alone or self.rejection.sudden(self.clock):
             return False
@@ -337,7 +325,6 @@ class Solver(Kept):
         return self._graph.run(until, self.rejection, self._launches, apart=apart)
 
     def _launches(self) -> Iterable[Callable[[], Any]]:
-        """Yield the kernel launches of one substep of a single worker, in order."""
         if self.tracks.vary:
             yield self._sample.launch
         for _, launch in itertools.chain(*self.workers[0].phases):
@@ -399,16 +386,12 @@ class Solver(Kept):
             self._measure_due()
 
     def _corners(self, rows: NDArray[np.float64]) -> list[Corners]:
-        """Return the corners of each body's bounding box [m] from the measured maxima."""
         parts = self.slabs.parts if self.slabs else ()
         bodies = [part.group.body for part in parts] or range(len(rows))
         return corners_of(rows, bodies, len(self.grids))
 
     def _fit_slabs(self, rows: NDArray[np.float64], force: bool) -> bool:
-        """Fit each worker's nodes (slabs) to the particles, or divide the particles again.
-
-        The function returns whether the slabs changed.
-        """
+        """Fit each worker's nodes (slabs) to the particles; return whether the slabs changed."""
         slabs = self.slabs
         if slabs is None or not slabs.fit(rows, force=force):
             return False
@@ -419,14 +402,12 @@ class Solver(Kept):
         return True
 
     def _record_measures(self) -> None:
-        """Record the kernel launches that measure each worker's particles."""
         for worker in self.workers:
             worker.measures = self._recorder.measures(worker, self._stray)
             worker.glances = self._recorder.speeds(worker, self._stray)
 
     def _maxima(self) -> NDArray[np.float64]:
-        """Measure the particles; return a row of maxima for each part of each worker, or for each
-        body.
+        """Return a row of measured maxima for each part of each worker, or for each body.
 
         Raises:
             Unstable: A value of a particle is not finite.
@@ -459,12 +440,10 @@ class Solver(Kept):
         return max(1, min(interval, self.rejection.room(self.clock)))
 
     def _follow_window(self) -> None:
-        """Record the kernel launches again if a window has moved."""
         if self._moved:
             run_timed(self.timings, WINDOW, self._record)
 
     def _record(self) -> None:
-        """Record the kernel launches of one substep, in order."""
         self._moved = False
         self._recorder.record(self._forces, self.boundaries, self._sums)
         walls = {stage.name for stage in self.boundaries} - {stage.name for stage in self._sums}

@@ -16,7 +16,7 @@ class Stage(NamedTuple):
     name: str
     """Name under which reports list the stage's time."""
     record: Callable[[Grid], wp.Launch | None]
-    """Function that records the kernel launch for the grid's current window; None if no launch is
+    """Function that records the launch for a grid's window; the result is None if none is
     needed.
     """
     sudden: bool = False
@@ -24,25 +24,15 @@ class Stage(NamedTuple):
     small.
     """
     in_newtons: bool = False
-    """Whether the stage's track contains a force on each particle [N] instead of an acceleration
-    [m/s^2].
-    """
+    """Whether the track contains forces on each particle [N] instead of accelerations [m/s^2]."""
     keeps_C: bool = False
-    """Whether the stage never changes the velocity gradients C; sums of its work then need not read
-    C.
-    """
+    """Whether the stage never changes C, so that sums of work need not read C."""
     by_run: bool = False
-    """Whether each worker records a launch of the stage for only its part of the particles
-    (`Grid.run`).
-    """
+    """Whether each worker records a launch for only its part of the particles (`Grid.run`)."""
     alone: bool = False
-    """Whether one worker launches the stage for all layers of nodes while the other workers
-    wait.
-    """
+    """Whether one worker launches the stage for all layers while the other workers wait."""
     with_update: Callable[[Grid], wp.Launch | None] | None = None
-    """Function that records a single kernel launch for the stage and the grid update; None if this
-    is impossible.
-    """
+    """Function that records one launch for the stage and the grid update; None if impossible."""
     limit: Callable[[float, float], float] | None = None
     """Function that returns the largest acceleration of a particle [m/s^2] between two times [s].
     If `limit` is None, the track's values are used.
@@ -59,10 +49,7 @@ class Attachable(Protocol):
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
         """Return the stages that the force or boundary adds to each substep.
 
-        Args:
-            model: The constants of the run.
-            state: The arrays that the stages read and change.
-            tracks: The tracks of the run, to which quantities that change over time are added.
+        Quantities that change over time are added to `tracks`.
         """
         ...
 
@@ -100,7 +87,5 @@ Recorded = tuple[str, Repeatable | None]
 
 
 def launches(records: list[Recorded]) -> list[Named]:
-    """Return named functions that repeat the recorded kernel launches; missing launches are
-    omitted.
-    """
+    """Return named functions that repeat the recorded launches; missing launches are omitted."""
     return [(name, launch.launch) for name, launch in records if launch is not None]

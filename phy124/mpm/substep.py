@@ -29,9 +29,7 @@ from phy124.mpm.tracks import Tracks
 from phy124.mpm.workers import GATHER, Part, Slabs, Worker
 
 MEASURING = 2**17
-"""Largest number of GPU threads that measure the limits of a substep; each block of threads writes
-once.
-"""
+"""Largest number of GPU threads that measure the limits; each block of threads writes once."""
 
 
 class Transfers(NamedTuple):
@@ -88,42 +86,31 @@ class Recorder:
     model: Model
     state: State
     grids: Sequence[Grid]
-    """The grid of each body."""
     tracks: Tracks
     outliers: Outliers
     workers: Sequence[Worker]
     slabs: Slabs | None
-    """The sets of nodes (slabs) to which several workers scatter; None for a single worker."""
+    """The sets of nodes to which several workers scatter; None for a single worker."""
     pairs: Pairs
-    """Contact between bodies."""
     free: FreeBodies
-    """Freely moving rigid solids."""
     missed: wp.array
-    """Flag of each worker [W,1]: 1 if the gather skipped a particle outside the window, otherwise
-    0.
-    """
+    """For each worker, 1 if the gather skipped a particle outside the window, otherwise 0 [W,1]."""
     fluctuation: Fluctuation | None = None
-    """Object that restores the motion that the grid does not represent; None for the APIC
-    scheme.
-    """
+    """Object that restores the motion that the grid does not represent; None for APIC."""
     gathered: Sequence[Gathered] = ()
-    """Objects that read each worker's particles right after these particles' gather."""
+    """Objects that read each worker's particles right after the gather."""
     rpic: float = 0.0
     """Rate at which the symmetric part of the velocity gradients C decays [1/s]."""
     guest: Any = None
-    """A kernel launch of another solver, which runs after the update of the grids and before the
-    walls.
-    """
+    """Launch of another solver, which runs between the update of the grids and the walls."""
 
     def record(
         self, pushes: Sequence[Stage], walls: Sequence[Stage], sums: Sequence[Stage]
     ) -> None:
         """Record the kernel launches of every worker's phases.
 
-        Args:
-            pushes: Stages of forces on particles, before the scatter.
-            walls: Stages of boundaries, after the update.
-            sums: Stages that end the substep.
+        The stages `pushes` act before the scatter, `walls` act after the update, and `sums` act
+        last.
         """
         held = self.model.held
         for body in held - self.model.wet:
@@ -142,9 +129,7 @@ class Recorder:
         self.workers[0].phases[GATHER] += launches(last)
 
     def _passes(self, parts: Sequence[Part], worker: int) -> Iterator[list[Named]]:
-        """Yield a worker's phases for the passes of AFLIP or XPIC over the grid, before the
-        scatter.
-        """
+        """Yield a worker's phases for the passes of AFLIP or XPIC, before the scatter."""
         kept = self.fluctuation
         for turn in range(kept.scheme.passes if kept else 0):
             assert kept is not None
@@ -169,7 +154,6 @@ class Recorder:
 
     @property
     def _moving(self) -> list[int]:
-        """The bodies that may move."""
         still = self.model.held | self.model.wet
         return [body for body in range(len(self.grids)) if body not in still]
 
@@ -191,10 +175,9 @@ class Recorder:
         return launches([(stage.name, stage.record(self._grid)) for stage in stages])
 
     def _update_phases(self, walls: Sequence[Stage], worker: int) -> list[list[Recorded]]:
-        """Return a worker's phases that follow the scatter: grid update, contact of bodies, and
-        walls.
+        """Return a worker's phases after the scatter: grid update, contact of bodies, and walls.
 
-        Walls come last, so that no other stage can push material through them.
+        Walls come last, so that no other stage can push material through walls.
         """
         first = next(iter(walls), None)
         fused = self._update_with(first) if first is not None else None
@@ -219,28 +202,21 @@ class Recorder:
         return phases
 
     def _update_with(self, wall: Stage) -> Recorded | None:
-        """Return a single kernel launch for the grid update and a wall; None if two launches are
-        needed.
-        """
+        """Return one launch for the grid update and a wall; None if two launches are needed."""
         if wall.with_update is None or len(self.grids) > 1 or not self._grid.apart:
             return None
         launch = wall.with_update(self._grid)
         return None if launch is None else (wall.name, launch)
 
     def _meet_free(self) -> list[Recorded]:
-        """Return a worker's kernel launches for the contact of freely moving solids.
-
-        The launches handle each particle body in turn.
-        """
         records = (self.free.record(self.grids[body], body) for body in self._moving)
         return list(itertools.chain(*records))
 
     def _wall(
         self, wall: Stage, grid: Grid, place: int, worker: int, *, alone: bool
     ) -> Recorded | None:
-        """Return a worker's kernel launches for a wall and a body.
-
-        Some walls are handled by the first worker alone.
+        """Return a worker's launch for a wall and a body; if `alone`, only the first worker has
+        one.
         """
         if alone:
             return (wall.name, wall.record(grid)) if worker == 0 else None
@@ -296,8 +272,7 @@ class Recorder:
         return [launch for launch in glances if launch is not None]
 
     def _scatter(self, part: Part) -> Iterator[Recorded]:
-        """Yield the kernel launches that scatter a part of the particles, after RPIC damping if
-        required.
+        """Yield the launches that scatter a part of the particles, after RPIC damping if required.
 
         The damping runs before the scatter instead of after the gather, so that measurements
         between two substeps include the strain of the substep.
@@ -336,10 +311,7 @@ class Recorder:
         return records
 
     def _update(self, body: int, worker: int, clock: wp.array | None = None) -> list[Recorded]:
-        """Return the kernel launch that updates a worker's part of a grid.
-
-        By default, the launch uses the clock of the run.
-        """
+        """Return the kernel launch that updates a worker's part of a grid."""
         model, grid, slabs = self.model, self.grids[body], self.slabs
         momenta = grid.nodes if clock is not None else grid.momenta
         clock = self.tracks.clock if clock is None else clock

@@ -21,17 +21,15 @@ from phy124.kernels.reduction import meet
 from phy124.runtime.cores import cores
 
 ROUNDS = 20
-"""While a thread waits at a barrier, it only yields its core for this number of spins."""
+"""Number of spins in which a waiting thread only yields its core."""
 NAP = 5e-5
-"""Between later spins at the barrier, the waiting thread sleeps for this time [s]."""
+"""Time that a waiting thread sleeps between later spins [s]."""
 SPINS = 100_000
-"""Number of times that a waiting thread checks the barrier per spin, if every thread has a core to
-itself. If threads share cores, a waiting thread checks the barrier once per spin.
+"""Number of checks of the barrier per spin if every thread has a core to itself. If threads share
+cores, a spin has one check.
 """
 Task = Callable[[int], None]
-"""Function that runs the part of a task that belongs to a member of the team; its argument is the
-member's index.
-"""
+"""Function that runs a member's part of a task; the argument is the member's index."""
 
 
 class Team:
@@ -50,7 +48,6 @@ class Team:
         started. Tasks are not kept after the threads have ended, because a task refers to arrays.
         """
         self._started = 0
-        """Number of tasks that the team started since its threads began."""
         self._errors: list[BaseException | None] = []
         """Exception that each member's last task raised, or None."""
         self.seconds = [0.0] * size
@@ -86,8 +83,7 @@ class Team:
     def put(self, task: Task) -> None:
         """Wait until all members have finished the previous task, then start a task.
 
-        An exception of the previous task is re-raised. If several members failed, the exception of
-        the member with the lowest number is raised.
+        An exception of the previous task is re-raised.
         """
         self._hand_over(task)
 

@@ -24,17 +24,11 @@ CFL = 0.75
 CELLS_PER_STEP = 0.5
 """Largest distance that a particle moves in one substep [cells]."""
 STRAIN_PER_STEP = 0.4
-"""Largest product of the velocity gradient |C| and a substep's length dt. If |C| dt is below 1, an
-element cannot become inverted in one substep.
-"""
+"""Largest |C| dt of a substep; below 1, an element cannot become inverted in one substep."""
 MEMORY = 0.95
-"""Factor by which the assumed stiffness decays during the `MEASURE_EVERY` substeps after a
-measurement.
-"""
+"""Factor by which the assumed stiffness decays in `MEASURE_EVERY` substeps."""
 TRAVEL = 2
-"""Largest distance that particles may move between two measurements of their positions [cells]; the
-margin of the grid's window is twice as wide.
-"""
+"""Largest distance that particles may move between two measurements of their positions [cells]."""
 MEASURE_EVERY = 4
 """Number of substeps between two measurements of the particles that is safe for any motion."""
 
@@ -47,20 +41,13 @@ class Extremes(NamedTuple):
     gradient: float
     """Largest Frobenius norm of a particle's velocity gradient C [1/s]."""
     stiffness: float
-    """Largest A / rho0 of a particle [m^2/s^2]: the modulus of its law divided by its rest
-    density.
-    """
+    """Largest A / rho0 of a particle [m^2/s^2]: modulus of the law divided by rest density."""
 
     def after(self, before: Extremes, speed: float = 0.0, *, substeps: int) -> Extremes:
         """Return these largest values, but with lower bounds for speed and stiffness.
 
-        The speed is at least `speed`, and the stiffness is at least the decayed stiffness of
-        `before`.
-
-        Args:
-            before: Extremes measured `substeps` earlier.
-            speed: Largest speed of rigid solids [m/s].
-            substeps: Number of substeps since `before` was measured.
+        The speed is at least `speed` [m/s]. The stiffness is at least the stiffness of `before`,
+        decayed over `substeps`.
         """
         stiffness = max(self.stiffness, decay(before.stiffness, substeps))
         return self._replace(stiffness=stiffness, speed=max(self.speed, speed))
@@ -70,7 +57,6 @@ class Maxima(NamedTuple):
     """Largest values and bounding box of some particles, as measured on the device."""
 
     extremes: Extremes
-    """Measured values that limit the length of a substep."""
     lower: NDArray[np.float64]
     """Lowest corner of the particles' bounding box [3], m."""
     upper: NDArray[np.float64]
@@ -126,13 +112,13 @@ def stable_substep(
 
 
 def decay(value: float, substeps: int) -> float:
-    """Return the value that is assumed some substeps after a measurement; it decays by `MEMORY`."""
+    """Return the value that is assumed some substeps after a measurement: a decay by `MEMORY`."""
     return MEMORY ** (substeps / MEASURE_EVERY) * value
 
 
 def beside_elastic(cfl: float) -> float:
-    """Return the stable fraction of the viscous limit, for substeps that are `cfl` times the
-    elastic limit.
+    """Return the stable fraction of the viscous limit for substeps of `cfl` times the elastic
+    limit.
 
     An oscillator with omega dt = 2 cfl and damping gamma dt, both integrated explicitly, is stable
     while (omega dt)^2 <= 4 - 2 gamma dt.
@@ -141,8 +127,7 @@ def beside_elastic(cfl: float) -> float:
 
 
 def beside_rpic(cfl: float) -> float:
-    """Return the stable fraction of the elastic limit if the scheme RPIC damps the strain rate in
-    C.
+    """Return the stable fraction of the elastic limit if RPIC damps the strain rate in C.
 
     An oscillator that keeps the fraction s of its velocity in each substep is stable while (omega
     dt)^2 <= 2 + 2 s; in the worst case s is 0.

@@ -32,7 +32,6 @@ Key = tuple[float, Vector]
 Over = Literal["", "kick", "drift"]
 """Interval over which a track's value is averaged: no interval, the kick, or the drift."""
 OVER: dict[Over, int] = {"": 0, "kick": KICK, "drift": DRIFT}
-"""For each interval over which values may be averaged, the flag of a track."""
 
 
 class Table(Section):
@@ -145,8 +144,8 @@ def check_times(times: Sequence[float], values: int, name: str) -> None:
 
 @dataclass(frozen=True)
 class Track:
-    """A quantity that changes over time: values at key times, linear in between, and constant
-    before the first and after the last key.
+    """A quantity over time: linear between keys, constant before the first and after the
+    last key.
     """
 
     keys: tuple[Key, ...]
@@ -156,13 +155,12 @@ class Track:
     end: float = FOREVER
     """Time until which the track is active [s]."""
     origin: float = 0.0
-    """Time that is the origin of the keys' times [s]."""
+    """Time at which the keys' times are 0 [s]."""
     period: float = 0.0
     """Time after which the keys of the track repeat [s]; 0 if they never repeat."""
     mean: bool = False
-    """If `mean` is true, the device uses the mean of the track over each velocity update, and zero
-    while the track is inactive. If `mean` is false, the flags in the track's slot determine which
-    value the device uses.
+    """Whether the device uses the mean of the track over each velocity update, and zero while the
+    track is inactive. If `mean` is false, the flags in the track's slot determine the value.
     """
 
     @classmethod
@@ -206,25 +204,21 @@ class Track:
     def changes(self, start: float, end: float) -> bool:
         """Return whether the track's value may change from `start` to `end` [s].
 
-        A change exactly at `end` is excluded, since it acts only after `end`. A live run does not
-        know before `end` about a push that begins at `end`. A repetition of this run, which knows
-        about the push, must take the same substeps.
+        A change exactly at `end` is excluded. A live run does not know before `end` about a push
+        that begins at `end`. A repetition of this run, which knows about the push, must take the
+        same substeps.
         """
         begins_or_ends = start <= self.start < end or start <= self.end < end
         return begins_or_ends or (len(self.keys) > 1 and self.acts(start, end))
 
     def largest(self, start: float, end: float) -> float:
-        """Return an upper bound of the norm of the track's value from `start` to `end` [s]; 0 if
-        inactive.
-        """
+        """Return an upper bound of the value's norm from `start` to `end` [s]; 0 if inactive."""
         if not self.acts(start, end):
             return 0.0
         return max(math.hypot(*value) for _, value in self.keys)
 
     def fastest(self, start: float, end: float) -> float:
-        """Return the largest norm of the rate of change of the track's value from `start` to `end`
-        [s].
-        """
+        """Return the largest norm of the value's rate of change from `start` to `end` [s]."""
         fastest, start, end = 0.0, start - self.origin, end - self.origin
         for (t, a), (u, b) in itertools.pairwise(self.keys):
             repeats = self.period > 0 and end > 0
@@ -233,9 +227,7 @@ class Track:
         return fastest
 
     def largest_jump(self, end: float) -> float:
-        """Return the norm of the largest jump in the rate of change of the track's value before
-        `end` [s].
-        """
+        """Return the norm of the largest jump in the value's rate of change before `end` [s]."""
         times = np.array([time for time, _ in self.keys])
         rates = np.zeros((len(times) + 1, 3))
         rates[1:-1] = np.diff([value for _, value in self.keys], axis=0) / np.diff(times)[:, None]
@@ -323,7 +315,7 @@ class Tracks:
     ) -> wp.Launch:
         """Return the kernel launch that samples all tracks at the time of a clock [3], s.
 
-        By default, this clock is the clock of the run, and the outputs are the arrays `values` and
+        By default, the clock is that of the run, and the outputs are the arrays `values` and
         `rates`.
         """
         tables = [self.starts, self.times, self.keys, self.spans, self.flag_array]

@@ -1,16 +1,10 @@
 """Workers: each worker processes a part of the particles, on a separate set of nodes.
 
-A worker scatters its particles to private nodes, updates some layers of the common grid from all
-private nodes, and then gathers. A single worker has all particles and scatters to the common grid.
-phy124/mpm/threads.py runs several workers in parallel.
-
 With several workers, the particles of each group are divided into slabs with equal numbers of
-particles. The particles are sorted in layers along the longest axis (phy124/simulation/setup.py). A
-slab has the nodes that its particles can use until the next measurement: the nodes of the slab's
-layers, and a margin on each side. When the object rotates or flows, slabs begin to overlap. If the
-slabs have too many nodes in total, the particles are divided again by their current positions.
-Workers then access their particles through lists of indices, so a substep becomes up to twice as
-expensive. Particles are therefore rarely divided again.
+particles. The particles are sorted in layers along the longest axis (phy124/simulation/setup.py).
+If the slabs have too many nodes in total, the particles are divided again by their current
+positions. Workers then access their particles through lists of indices, so a substep becomes up to
+twice as expensive. Particles are therefore rarely divided again.
 """
 
 import itertools
@@ -44,13 +38,9 @@ are called after each substep (progress, time limit and observers).
 NODES = 16
 """Particles are divided again only if the workers' slabs have more nodes per particle than this."""
 GROWN = 1.25
-"""Particles are divided again if the ratio of nodes in the workers' slabs to nodes in the windows
-has grown by this factor.
-"""
+"""Particles are divided again if the ratio of slab nodes to window nodes grew by this factor."""
 GAP = 1
-"""Gap between the nodes (slabs) of two workers [nodes], because SIMD code reads one additional
-node.
-"""
+"""Gap between two workers' nodes [nodes], because SIMD code reads one additional node."""
 LINE = 4
 """Number of nodes in a cache line; no two workers write to the same cache line."""
 Result = TypeVar("Result")
@@ -64,15 +54,14 @@ class Part:
 
     group: Group
     particles: slice
-    """Range of indices of particles that contains all particles of the part."""
+    """Range of indices that contains all particles of the part."""
     chosen: wp.array
-    """Indices of the part's particles within this range; empty if the part contains all particles
-    of the range.
+    """Indices of the part's particles within this range; empty if the whole range belongs to the
+    part.
     """
     count: int
-    """Number of particles in the part."""
     nodes: Grid
-    """The nodes to which the part scatters: the grid of the body, or nodes that only this worker
+    """The nodes to which the part scatters: the body's grid, or nodes that only this worker
     uses.
     """
     maxima: wp.array
@@ -97,16 +86,12 @@ class Worker:
     """The particles that one worker processes, and the launches for these particles."""
 
     maxima: wp.array
-    """Measured maxima of particles: `COUNT` numbers for each body, or for each of the worker's
-    parts.
-    """
+    """Measured maxima of particles: `COUNT` numbers for each body, or for each part."""
     speeds: wp.array
     """Measured maxima of speed and velocity gradient of the worker's particles [SPEEDS]."""
     parts: list[Part] = field(default_factory=list)
     phases: list[list[Named]] = field(default_factory=list)
-    """Kernel launches of each phase of a substep. The phases of a substep are pushes (if there are
-    any), scatter, one or several phases of grid update and walls, and gather.
-    """
+    """Launches of each phase: pushes (if there are any), scatter, grid update and walls, gather."""
     measures: list[wp.Launch] = field(default_factory=list)
     """Kernel launches that measure the limits of the substep."""
     glances: list[wp.Launch] = field(default_factory=list)
@@ -134,14 +119,6 @@ class Slabs:
     """Division of the particles among several workers."""
 
     def __init__(self, model: Model, state: State, grids: Sequence[Grid], count: int) -> None:
-        """Divide the particles among the workers for the first time.
-
-        Args:
-            model: The particles.
-            state: Positions of the particles.
-            grids: The common grid of each body.
-            count: Number of workers.
-        """
         self._model, self._state, self._grids = model, state, grids
         length = COUNT * len(model.groups)
         self.workers = [
@@ -150,18 +127,14 @@ class Slabs:
         self.pool = wp.zeros(0, dtype=types(model.real).vec4, device=model.device)
         """The nodes of all slabs; a slab contains the nodes to which a single worker scatters."""
         self.boxes: list[wp.array] = []
-        """For each slab (set of nodes) of each body, its lowest node and its extent."""
+        """The lowest node and the extent of each slab, for each body."""
         self.starts: list[wp.array] = []
-        """For each slab (set of nodes) of each body, the index of its first node in the array
-        `pool`.
-        """
+        """The index of each slab's first node in `pool`, for each body."""
         self.runs: list[wp.array] = []
         """The nodes of each worker in the array `pool`."""
         self._owner = np.zeros(len(model), np.int16)
         self._share = 0.0
-        """Ratio of the nodes in the workers' slabs to the nodes in the windows, after the last
-        division of the particles.
-        """
+        """Ratio of slab nodes to window nodes after the last division of the particles."""
         self.divide()
 
     @property
@@ -171,16 +144,14 @@ class Slabs:
 
     @property
     def share(self) -> float:
-        """Number of nodes in the slabs of all workers, divided by the number of nodes in the
-        windows.
-        """
+        """Number of nodes in all slabs, divided by the number of nodes in the windows."""
         shared = sum(grid.count for grid in self._grids)
         return sum(part.nodes.count for part in self.parts) / max(shared, 1)
 
     @property
     def outgrown(self) -> bool:
-        """Whether the workers' sets of nodes (slabs) have grown, and dividing the particles again
-        would save time.
+        """Whether the slabs have grown so much that another division of the particles would save
+        time.
         """
         if self._share == 0:
             self._share = self.share
@@ -189,8 +160,7 @@ class Slabs:
     def divide(self, order: NDArray[np.integer] | None = None) -> None:
         """Give workers equal numbers of each group's particles.
 
-        The particles are divided in the order `order` [P] or, by default, in the order of the
-        memory.
+        The particles are divided in the order `order` [P]; None: in the order of the memory.
         """
         count = len(self.workers)
         order = np.arange(len(self._model)) if order is None else order
@@ -231,15 +201,13 @@ class Slabs:
         return True
 
     def _reach(self, part: Part, row: NDArray[np.float64]) -> tuple[NDArray, NDArray] | None:
-        """Return the nodes that the particles of a part can use; None if all particles are
-        outliers.
-        """
+        """Return the nodes that a part's particles can use; None if all are outliers."""
         grid = self._grids[part.group.body]
         return grid.reach(*Maxima.of(row).corners) if np.isfinite(row).all() else None
 
     def place(self, boxes: Sequence[tuple[NDArray, NDArray]]) -> None:
-        """Allocate cleared nodes for each slab; a slab has `size` [3] nodes from the node `low` [3]
-        on.
+        """Allocate cleared nodes for each slab; `boxes` are the lowest node [3] and the size [3] of
+        each.
         """
         rooms = [-(-(int(np.prod(size)) + GAP) // LINE) * LINE for _, size in boxes]
         starts = [0, *itertools.accumulate(rooms)]
@@ -257,7 +225,6 @@ class Slabs:
         self.runs = [self._nodes(starts[a], starts[b]) for a, b in itertools.pairwise(ends)]
 
     def _nodes(self, first: int, last: int) -> wp.array:
-        """Return the nodes i of the array `pool` with first <= i < last."""
         return cast("wp.array", self.pool[first:last])
 
     def snapshot(self) -> dict[str, Any]:
@@ -280,15 +247,12 @@ class Slabs:
         return True
 
     def _share_out(self) -> None:
-        """Assign to each worker its parts of the groups of particles."""
         for index, worker in enumerate(self.workers):
             parts = (self._part(index, group) for group in self._model.dry_groups)
             worker.parts = [part for part in parts if part is not None]
 
     def _part(self, index: int, group: Group) -> Part | None:
-        """Return a worker's part of a group's particles; None if the worker has no particle of the
-        group.
-        """
+        """Return a worker's part of a group; None if the worker has no particle of the group."""
         model = self._model
         members = np.flatnonzero(self._owner[group.particles] == index)
         if len(members) == 0:
@@ -305,7 +269,7 @@ class Slabs:
 
 
 def lone_worker(model: Model, grids: Sequence[Grid]) -> Worker:
-    """Return a single worker, which scatters all particles directly to the grids of the bodies."""
+    """Return a single worker, which scatters all particles directly to the bodies' grids."""
     maxima = numbers(COUNT * len(grids), model)
     every = wp.zeros(0, dtype=int, device=model.device)
     parts = []
@@ -356,19 +320,13 @@ def run_launches(timings: Timings, named: Sequence[Named]) -> None:
 
 
 def layers(x: NDArray, axis: int, dx: float) -> NDArray[np.int16]:
-    """Return the index of the layer that contains each point [P].
-
-    Cells with side dx [m] form layers along an axis.
-    """
+    """Return the layer of each point [P]; cells with side dx [m] form layers along an axis."""
     layer = np.floor((x[:, axis] - x[:, axis].min()) / dx)
     return np.minimum(layer, np.iinfo(np.int16).max).astype(np.int16)
 
 
 def _has_space(part: Part, reach: tuple[NDArray, NDArray] | None) -> bool:
-    """Return whether the margin around a part's particles suffices until the next measurement.
-
-    The margin consists of nodes that only this worker uses.
-    """
+    """Return whether the margin around a part's particles suffices until the next measurement."""
     if reach is None:
         return True
     nodes, (low, high) = part.nodes, reach
