@@ -23,7 +23,6 @@ rest."""
 
 
 SHADING = 0.3
-"""Value of `Material.shading` for most materials."""
 Tint = Annotated[RGB | None, BeforeValidator(lambda tint: None if tint == "none" else tint)]
 """A colour; if None or "none", the colours of the picture are used."""
 
@@ -99,15 +98,12 @@ class Material(Section):
     )
 
     def calm_strain(self, growth: float, stiffness: float) -> float:
-        """Return the largest strain for which the stiffness grows by at most the factor `growth`.
+        """Return the largest strain for which the stiffness grows by at most the factor `growth` >
+        1.
 
-        The default is for the fixed corotated law, which stiffens most among the elastic laws. Its
-        factor is 2 J^2 - J, where ln J is at most sqrt(3) times the strain.
-
-        Args:
-            growth: Largest allowed factor (above 1) by which the strain changes the stiffness of
-                the stiffest particle.
-            stiffness: A / rho of the stiffest particle [m^2/s^2].
+        `stiffness` is A / rho of the stiffest particle [m^2/s^2]. The default is for the fixed
+        corotated law, which stiffens most among the elastic laws. The factor of this law is 2 J^2 -
+        J, where ln J is at most sqrt(3) times the strain.
         """
         return math.log((1 + math.sqrt(1 + 8 * growth)) / 4) / math.sqrt(3)
 
@@ -118,15 +114,13 @@ class Material(Section):
     def theta_on(self, dx: float, cfl: float) -> tuple[float, ...]:
         """Return the parameters of the law on a grid of spacing `dx` [m].
 
-        `cfl` is the length of the substep, divided by the elastic limit of the substep.
+        `cfl` is the length of the substep, divided by the elastic limit.
         """
         return self.theta()
 
     @property
     def longest(self) -> float:
-        """Limit on a Gaussian's longest axis, relative to its length at rest: `max_stretch` or the
-        default.
-        """
+        """Limit on a Gaussian's longest axis, relative to the length at rest."""
         if self.max_stretch is not None:
             return self.max_stretch
         return math.inf if self.device_law.project is None else FLOWING
@@ -140,7 +134,7 @@ class Material(Section):
         return np.tile(np.array(self.history(), np.float64), (len(x), 1))
 
     def wave_speed(self) -> float:
-        """Return `sqrt(A / rho)` [m/s] of unstrained material, with the modulus A that limits
+        """Return `sqrt(A / rho)` [m/s] of unstrained material; A is the modulus that limits
         substeps.
         """
         raise NotImplementedError
@@ -154,9 +148,7 @@ class Material(Section):
         return math.inf
 
     def cheaper(self, field: str) -> str:
-        """Return a remedy for slow runs, for messages; `field` is the path of the material in the
-        scene.
-        """
+        """Return a remedy for slow runs; `field` is the path of the material in the scene."""
         return f"a smaller {field}.E"
 
     def notes(self) -> list[str]:
@@ -203,8 +195,7 @@ class Elastic(Material):
         return self.lame
 
     def wave_speed(self) -> float:
-        """Return `sqrt((3 lambda + 2 mu) / rho)` of unstrained material, which limits its substeps
-        [m/s].
+        """Return `sqrt((3 lambda + 2 mu) / rho)` of unstrained material [m/s].
 
         If lambda is negative (nu < 0), shear is the stiffest motion, so lambda is replaced by zero.
         """
@@ -212,9 +203,7 @@ class Elastic(Material):
         return math.sqrt((3 * max(lam, 0) + 2 * mu) / self.density)
 
     def sound_speed(self) -> float:
-        """Return the speed of pressure waves in unstrained material, `sqrt((lambda + 2 mu) / rho)`
-        [m/s].
-        """
+        """Return the speed of pressure waves, `sqrt((lambda + 2 mu) / rho)` [m/s]."""
         mu, lam = self.lame
         return math.sqrt((lam + 2 * mu) / self.density)
 

@@ -29,9 +29,7 @@ class Springy(Elastic):
         return plain._replace(name=f"{plain.name}_damped", stress=self.damped, width=3)
 
     def theta(self) -> tuple[float, ...]:
-        """Return the law's parameters: (mu, lambda), or (mu, lambda, damping) if `damping` is
-        positive.
-        """
+        """Return the law's parameters: mu, lambda and, if positive, `damping`."""
         return (*self.lame, self.damping) if self.damping else self.lame
 
     def viscous_limit(self, dx: float) -> float:

@@ -71,9 +71,7 @@ class Fluid(Material):
         return self.bulk_modulus, self.gamma, self.viscosity, 0.0, 0.0, 0.0
 
     def history(self) -> tuple[float, float]:
-        """Return the initial history variables: the previous value of J, which is 1, and an unused
-        0.
-        """
+        """Return the initial history variables: the previous J, which is 1, and an unused 0."""
         return 1.0, 0.0
 
     @property
@@ -88,10 +86,6 @@ class Fluid(Material):
         is proportional to rho c dx. A substep of the fraction `cfl` is stable if (2 cfl)^2 <= 4 - 2
         (12 zeta / rho dx^2) dt, as in `beside_elastic`. In regions with J < 1, substeps are shorter
         than at rest.
-
-        Args:
-            dx: Grid spacing [m].
-            cfl: Fraction of the stable substep.
         """
         most = (1 - cfl * cfl) / (2 * math.sqrt(3) * cfl)
         zeta = RINGING * most * math.sqrt(1 + SUDDEN) * self._sound * self.density * dx

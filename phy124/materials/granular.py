@@ -137,7 +137,7 @@ class Snow(Elastic):
     def histories(self, x: NDArray) -> NDArray[np.float64]:
         """Return the initial history variables [P,2] of the particles at x [P,3], m.
 
-        They are Jp - 1, which is zero, and the relative deviation of `extension`.
+        The variables are Jp - 1, which is zero, and the relative deviation of `extension`.
         """
         rows = super().histories(x)
         if self.unevenness:
@@ -145,7 +145,5 @@ class Snow(Elastic):
         return rows
 
     def theta(self) -> tuple[float, ...]:
-        """Return the law's parameters: (mu, lambda, smallest stretch, largest stretch,
-        hardening).
-        """
+        """Return the law's parameters: mu, lambda, smallest and largest stretch, hardening."""
         return *self.lame, 1 - self.compression, 1 + self.extension, self.hardening

@@ -20,8 +20,8 @@ WAVES = 24
 def lumps(x: NDArray) -> NDArray[np.float64]:
     """Return noise of mean 0 and standard deviation 1 at points x [P,3] of a body, m.
 
-    The noise is a sum of plane waves with random directions and phases. The noise is the same at
-    every accuracy, since it depends only on the position in the body and on a fixed seed.
+    The noise depends only on the position in the body and on a fixed seed, so that the noise is the
+    same at every accuracy.
     """
     rng = np.random.default_rng(0)
     low, longest = x.min(axis=0), float(np.ptp(x, axis=0).max())
