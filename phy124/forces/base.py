@@ -80,8 +80,7 @@ class Force(Section):
         return self.start > 0 or self.end is not None or self.profile.kind != "constant"
 
     def track(self, value: Vector, *, mean: bool = True) -> Track:
-        """Return the force over time: `value` times the profile from `start` to `end`, otherwise
-        zero.
+        """Return the force over time: `value` times the profile from `start` to `end`, else zero.
 
         If `mean` is set, a substep uses the track's mean over the substep, not its current value.
         """
@@ -89,12 +88,8 @@ class Force(Section):
         return Track.of_profile(value, self.profile, self.start, end, mean=mean)
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Return the stages that the force adds to each substep; none for a uniform acceleration.
-
-        Args:
-            model: The constants of the run.
-            state: The particles' arrays, which the launches change.
-            tracks: The tracks of the run, to which the force adds its strength over time.
+        """Return the stages that the force adds to each substep; none for a uniform
+        acceleration.
         """
         raise NotImplementedError
 
@@ -106,19 +101,17 @@ class Force(Section):
         return float(share @ np.asarray(model.mass.numpy(), np.float64))
 
     def shares(self, rest: NDArray) -> NDArray[np.float64]:
-        """Return the fraction of the force that acts on each particle [P], from the positions at
-        rest [P,3], m.
+        """Return the fraction of the force on each particle [P]; `rest` [P,3], m, are rest
+        positions.
         """
         inside = np.ones(len(rest)) if self.region is None else self.region.contains(rest)
         return np.asarray(inside, np.float64)
 
     def in_part(self, part: Model, whole: Model) -> Force | None:
-        """Return the force for one part of a divided model, or None if it does not act on that
-        part.
+        """Return the force for one part of a divided model; None if the force does not act there.
 
         A sum over particles, such as a total force, is multiplied by the part's mass divided by the
-        model's mass. A uniform acceleration acts in every part. It does not move held bodies, but
-        observers read it.
+        model's mass. A uniform acceleration acts in every part.
         """
         if self.uniform and not self.totals:
             return self
@@ -153,9 +146,7 @@ class Force(Section):
 
 
 def of_object(model: Model, name: str | None) -> NDArray[np.bool_]:
-    """Return a mask [P] of the particles of the named object, or of all objects if `name` is
-    None.
-    """
+    """Return a mask [P] of the particles of the named object; None: of all objects."""
     mask = np.zeros(len(model), bool)
     mask[model.named(name)] = True
     return mask
@@ -164,7 +155,7 @@ def of_object(model: Model, name: str | None) -> NDArray[np.bool_]:
 def accelerate(force: Force, a: Vector, model: Model, state: State, tracks: Tracks) -> list[Stage]:
     """Return the stages of a substep that accelerate the chosen particles.
 
-    There are none if the acceleration is uniform, because the grid update adds it.
+    A uniform acceleration has no stage, because the grid update adds this acceleration.
 
     Args:
         force: The force, with its region and its strength over time.
@@ -180,8 +171,7 @@ def accelerate(force: Force, a: Vector, model: Model, state: State, tracks: Trac
 
 
 def push(force: Force, value: Vector, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-    """Return the stage of a substep that accelerates the chosen particles or applies a force to
-    each.
+    """Return the stage that accelerates the chosen particles or applies a force to each.
 
     Args:
         force: The force, with its region and its strength over time.

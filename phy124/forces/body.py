@@ -88,16 +88,14 @@ class Impulse(Force):
         return True
 
     def track(self, value: Vector, *, mean: bool = True) -> Track:
-        """Return the force over time: `value` times the profile during the impulse, otherwise
-        zero.
-        """
+        """Return the force over time: `value` times the profile during the impulse, else zero."""
         end = self.start + self.duration
         track = Track.of_profile(value, self.profile, self.start, end, mean=mean)
         # A force that starts at time 0 is also active before time 0; an impulse at time 0 is not.
         return Track(track.keys, self.start, end, track.origin, track.period, mean)
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Accelerate the region by p / (m I), where m is its mass and I the time integral of the
+        """Accelerate the region by p / (m I): mass m of the region, time integral I of the
         profile.
         """
         x, y, z = per_mass(self, self.p, model)

@@ -1,5 +1,5 @@
-"""Forces on a part of an object. The part consists of the particles that lie inside a ball when the
-object is at rest.
+"""Forces on a part of an object: the particles that are inside a ball when the object is at
+rest.
 """
 
 from __future__ import annotations
@@ -25,13 +25,8 @@ from phy124.schema.region import Vector
 def weights(rest: NDArray, point: Vector | None, radius: float) -> NDArray[np.float64]:
     """Return the weight of each particle in the part of the object on which a force acts [P].
 
-    At the distance d from `point`, the weight is (1 - (d / radius)^2)^2. If the part is the whole
-    body, all weights are 1.
-
-    Args:
-        rest: Positions at rest [P,3], m.
-        point: Centre of the part at rest [m]; None: the whole body.
-        radius: Radius around the point, outside which weights are zero [m].
+    At the distance d from `point` [m], the weight is (1 - (d / radius)^2)^2. If `point` is None,
+    the part is the whole body, and all weights are 1.
     """
     if point is None:
         return np.ones(len(rest))
@@ -41,34 +36,31 @@ def weights(rest: NDArray, point: Vector | None, radius: float) -> NDArray[np.fl
 
 
 class Part(NamedTuple):
-    """The particles in a part of an object on which a force acts, with arrays for sums over
-    them.
-    """
+    """The particles in a part of an object on which a force acts, with arrays for sums."""
 
     chosen: wp.array
     share: wp.array
-    """Each particle's fraction of the force on the part of the object, w m / sum(w m), in float64.
-    """
+    """Each particle's fraction of the force on the part, w m / sum(w m), in float64."""
     per_force: wp.array
-    """Acceleration of each particle if a force of 1 N acts on the part of the object [1/kg]."""
+    """Acceleration of each particle if a force of 1 N acts on the part [1/kg]."""
     means: wp.array
     second: wp.array
     mass: float
-    """Weighted mass of the part of the object, which is the sum of w m over its particles [kg]."""
+    """Weighted mass of the part: the sum of w m [kg]."""
     drawn: float
-    """Effective mass of the part of the object at the start [kg]: a force on the part, divided by
-    the acceleration of the part's centre that it causes."""
+    """Effective mass of the part at the start [kg]: force divided by the acceleration of the
+    centre.
+    """
     reach: float
     """Distance between the centre of the part and its farthest particle, at rest [m]."""
     inertia: float
-    """Smallest moment of inertia of the part of the object about its centre, at rest [kg m^2]."""
+    """Smallest moment of inertia of the part about the part's centre, at rest [kg m^2]."""
 
     @classmethod
     def of(
         cls, model: Model, point: Vector | None, radius: float, field: str, name: str | None = None
     ) -> Part:
-        """Return the part of an object that lies within a radius of a point when the object is at
-        rest.
+        """Return the part of an object that is within a radius of a point at rest.
 
         Args:
             model: The model, with masses and positions at rest.
@@ -118,7 +110,7 @@ class Part(NamedTuple):
     def track_centre(
         self, name: str, slot: int, model: Model, state: State, tracks: Tracks, *, turned: bool
     ) -> Iterator[Stage]:
-        """Yield the stages of a substep that compute the part's centre and second moments about it.
+        """Yield the stages that compute the part's centre and the second moments about the centre.
 
         Args:
             name: Name of the stages in a report's list of times.
@@ -197,9 +189,7 @@ class Grab(Force):
         return Track(tuple(zip(self.times, self.targets, strict=True)), start, end, self.start)
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Return the stages of a substep that compute the centre of the pulled part of the object,
-        and pull this part to the target.
-        """
+        """Return the stages that compute the centre of the pulled part, and pull the part."""
         part = Part.of(model, self.point, self.radius, "forces.point", self.object)
         slot = tracks.add(self.target(), limited=True)
         spring = wp.vec4d(self.stiffness, self.damping, part.drawn, self.strength)
@@ -251,9 +241,7 @@ class WrenchForce(Force):
         return weights(rest, self.point, self.radius)
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Return the stages of a substep that compute the centre of the part of the object, and
-        apply the force and the torque to this part.
-        """
+        """Return the stages that compute the part's centre, and apply the force and the torque."""
         part = Part.of(model, self.point, self.radius, "forces.point", self.object)
         push = tracks.add(self.track(self.force), limited=True)
         turn = tracks.add(self.track(self.torque), limited=True)
