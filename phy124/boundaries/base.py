@@ -34,9 +34,8 @@ only for nodes that belong to no column.
 MARGIN = 2.0
 """Largest distance in front of a wall [cells] at which a node may still respond to the wall."""
 SWEEPS = 2
-"""Number of passes per substep over the columns of grid nodes perpendicular to a curved wall,
-because such columns cross. In each pass, a column of nodes uses the velocities that the other
-columns computed in the previous pass.
+"""Number of passes per substep over the columns of nodes perpendicular to a curved wall. Such
+columns cross, so each pass uses the velocities that other columns computed in the previous pass.
 """
 THINNEST = 1.0
 """Smallest allowed half thickness of a solid [cells]. A thinner solid may contain no grid nodes."""
@@ -53,15 +52,11 @@ class Rest(Protocol):
         ...
 
     def rest_of(self, name: str | None) -> NDArray[np.float64]:
-        """Return the positions at rest [Q,3], m, of the named object, or of all objects if `name`
-        is None.
-        """
+        """Return the rest positions of the named object [Q,3], m; None: of all objects."""
         ...
 
     def top_of(self, name: str | None) -> float:
-        """Return the height [m] of the top of the named object, or of all objects if `name` is
-        None.
-        """
+        """Return the height of the named object's top [m]; None: of all objects."""
         ...
 
 
@@ -73,15 +68,11 @@ class AtRest:
     """Positions at rest [P,3], m."""
 
     def rest_of(self, name: str | None) -> NDArray[np.float64]:
-        """Return the positions of the object at rest; the name is ignored, because there is one
-        object.
-        """
+        """Return the positions at rest; the name is ignored, because there is one object."""
         return self.rest
 
     def top_of(self, name: str | None) -> float:
-        """Return the height [m] of the object's top; the name is ignored, because there is one
-        object.
-        """
+        """Return the height of the top [m]; the name is ignored, because there is one object."""
         return float(self.rest[:, 2].max())
 
 
@@ -113,9 +104,8 @@ class Boundary(Section):
         return np.full(3, -np.inf), np.full(3, np.inf)
 
     def bounds(self, model: Model) -> Corners:
-        """Return the corners of a box around all nodes that may respond to the shape at rest.
-
-        The corners are in metres.
+        """Return the corners [m] of a box around all nodes that may respond to the shape at
+        rest.
         """
         low, high = self.extent(model)
         margin = MARGIN * model.dx if self.at_surface(model.dx) else 0.0
@@ -158,9 +148,7 @@ class Boundary(Section):
         return {}
 
     def parts(self) -> list[Any]:
-        """Return the simple walls of which the boundary consists, such as the two pads of a
-        gripper.
-        """
+        """Return the boundary's simple walls, such as the two pads of a gripper."""
         return [self]
 
     def part_names(self) -> list[str]:
@@ -172,9 +160,7 @@ class Boundary(Section):
         return self.shape
 
     def response(self) -> str:
-        """Return the name of the rule by which nodes respond to the wall
-        (`kernels.columns.RESPONSES`).
-        """
+        """Return the name of the rule by which nodes respond (`kernels.columns.RESPONSES`)."""
         return self.contact
 
     def track(self, model: Rest) -> Track | None:
@@ -194,13 +180,7 @@ class Boundary(Section):
         return np.full(len(x), -np.inf)
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Return the boundary's stages of a substep: the wall, and then the nodes where columns
-        cross.
-
-        Args:
-            model: The constants of the run.
-            state: Not used.
-            tracks: The tracks of the run, to which the boundary's displacement is added.
+        """Return the boundary's stages: the wall, and then the nodes where columns cross.
 
         Raises:
             InputError: The solid is too thin for the grid.
@@ -218,17 +198,15 @@ class Boundary(Section):
         return [Stage(name, recorder, alone=alone, with_update=updating) for recorder in recorders]
 
     def _of_object(self, model: Model, recorder: Recorder) -> Recorder:
-        """Return `recorder`, changed so that it skips the grids of objects on which the wall does
-        not act.
-        """
+        """Return a recorder that skips the grids of objects on which the wall does not act."""
         if self.object is None:
             return recorder
         particles = model.named(self.object)
         return lambda grid: recorder(grid) if grid.particles == particles else None
 
     def spans(self, model: Model) -> bool:
-        """Return whether a column of nodes perpendicular to the wall may extend over several layers
-        of nodes along x.
+        """Return whether a column perpendicular to the wall may extend over several layers
+        along x.
         """
         if not self.at_surface(model.dx):
             return False
@@ -258,9 +236,8 @@ class Boundary(Section):
         return None
 
     def _settler(self, model: Model) -> Callable[[Grid], wp.Launch | None]:
-        """Return a function that records the kernel launch for nodes where columns of nodes cross.
-
-        The launch covers the box of `_swept_bounds` and two cells around this box.
+        """Return a function that records the kernel launch for nodes where columns of nodes
+        cross.
         """
         low, high = self._swept_bounds(model)
 
@@ -272,17 +249,12 @@ class Boundary(Section):
         return record
 
     def _swept_bounds(self, model: Model) -> Corners:
-        """Return the corners [m] of a box around all nodes that may respond to the boundary at any
-        time.
-        """
+        """Return the corners [m] of a box around all nodes that may respond at any time."""
         bounds, track = self.bounds(model), self.track(model)
         return bounds if track is None else swept(bounds, track)
 
     def _recorder(self, model: Model, tracks: Tracks, slot: int) -> Recorder:
-        """Return the function that records the kernel launch of this wall.
-
-        `slot` is the index of the wall's displacement in `tracks`.
-        """
+        """Return the function that records the kernel launch of this wall."""
         bounds, columns_overlap = self._swept_bounds(model), self.columns_overlap(model.dx)
         at_surface = self.at_surface(model.dx)
         kernel = self.kernel(model.real, model.dx)
@@ -303,9 +275,7 @@ class Boundary(Section):
         return record
 
     def _updater(self, model: Model, tracks: Tracks, slot: int) -> Recorder:
-        """Return a function that records one kernel launch for both the flat wall and the grid
-        update.
-        """
+        """Return a function that records one launch for both the flat wall and the grid update."""
         bounds = self._swept_bounds(model)
 
         def record(grid: Grid) -> wp.Launch | None:
@@ -324,16 +294,13 @@ class Boundary(Section):
         return record
 
     def _wall(self, model: Model, slot: int) -> list[Any]:
-        """Return the kernel inputs that describe the wall: its shape, friction and reach, and its
-        track.
-        """
+        """Return the kernel inputs that describe the wall: shape, friction, reach and track."""
         shape = types(model.real).mat33(*np.ravel(self.geometry(model)))
         reach = self.reach(model.dx)
         return [shape, self.friction, REACH * model.dx if reach is None else reach, slot]
 
 
 def _columns(model: Model, grid: Grid) -> list[Any]:
-    """Return the kernel inputs for contact between the wall and columns of nodes."""
     layers = wp.vec2i(*(grid.layers or (0, int(grid.size[0]))))
     return [layers, lightest(model), contact_mass_fraction(model), seep_distance(model)]
 
@@ -373,8 +340,7 @@ def lightest(model: Model) -> float:
 
 
 def contact_mass_fraction(model: Model) -> float:
-    """Return the mass at a wall above which a body touches the wall, relative to the expected
-    mass.
+    """Return the mass at a wall above which a body touches the wall, relative to the expected mass.
 
     The fraction is 0.9 for solids, so contact begins 0.07 cells before the surfaces meet. With a
     smaller fraction, solids are too stiff at first contact. With a larger fraction, columns with
@@ -397,9 +363,7 @@ def seep_distance(model: Model) -> float:
 
 
 def yields(model: Model) -> bool:
-    """Return whether a material of the model has a return mapping: plastic solid, sand, snow or
-    liquid.
-    """
+    """Return whether a material has a return mapping: plastic solid, sand, snow or liquid."""
     return any(section.device_law.project is not None for section in model.materials)
 
 

@@ -42,10 +42,7 @@ class Clamp(Movable):
         return self.contact == "sticky"
 
     def response(self) -> str:
-        """Return the rule by which nodes respond: "held" for sticky clamps, otherwise `contact`.
-
-        A sticky clamp acts exactly up to its surface.
-        """
+        """Return the rule by which nodes respond: "held" for sticky clamps, otherwise `contact`."""
         return "held" if self.contact == "sticky" else self.contact
 
     def reach(self, dx: float) -> float | None:
@@ -74,9 +71,7 @@ class Held(Clamp):
         return self
 
     def outline(self) -> str:
-        """Return the name of the function that computes the distance from the box or the
-        cylinder.
-        """
+        """Return the name of the distance function: cylinder or box."""
         return "cylinder" if self.cylinder else "box"
 
     def geometry(self, model: Rest) -> tuple[Vector, Vector, Vector]:

@@ -55,9 +55,7 @@ class Path(Motion):
         return self
 
     def track(self) -> Track:
-        """Return the displacement over time along the path, with cosine easing if the path is
-        smooth.
-        """
+        """Return the displacement along the path over time, with cosine easing if `smooth`."""
         times, points = np.array(self.times), np.array(self.points)
         if self.smooth:
             times, points = ease(times, points)
@@ -112,9 +110,7 @@ def to_keys(times: np.ndarray, points: np.ndarray) -> tuple[Key, ...]:
 
 
 def ease(times: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Divide the motion from each point to the next into `EASE` segments with a smooth start and
-    stop.
-    """
+    """Divide each motion between points into `EASE` segments with a smooth start and stop."""
     parts = np.linspace(0, 1, EASE + 1)[1:]
     fractions = (1 - np.cos(math.pi * parts)) / 2
     new_times, new_points = [times[0]], [points[0]]

@@ -164,8 +164,7 @@ class Container(Movable):
 
 
 def there_and_back(to: Vector, start: float, go: float, stay: float, back: float) -> Track:
-    """Return the displacement over time of a smooth motion to `to`, a rest, and a smooth motion
-    back.
+    """Return the displacement of a smooth motion to `to`, a rest, and a smooth motion back.
 
     Args:
         to: Displacement during the rest [m].
