@@ -22,12 +22,12 @@ class Mount(NamedTuple):
     folder: Path
     """Mount point."""
     top: str
-    """The group that is visible at the hierarchy's mount point. In a container, this is the
-    container's group."""
+    """The group at the mount point; in a container, this is the container's group."""
     version: int
     controllers: frozenset[str]
-    """Controllers of a hierarchy of version 1. In version 2 of control groups, a single hierarchy
-    has all controllers."""
+    """Controllers of a hierarchy of version 1. In version 2, a single hierarchy has all
+    controllers.
+    """
 
 
 def memory_left(root: Path = ROOT) -> float:
@@ -41,8 +41,8 @@ def cpu_quota(root: Path = ROOT) -> float:
 
 
 def _left(group: Path) -> float:
-    """Return a group's memory limit minus memory in use [bytes]; reclaimable memory counts as
-    free.
+    """Return a group's memory limit minus memory in use [bytes]; reclaimable memory counts
+    as free.
     """
     for limit, use in (
         ("memory.max", "memory.current"),
@@ -55,8 +55,9 @@ def _left(group: Path) -> float:
 
 
 def _reclaimable(group: Path) -> float:
-    """Return the memory of cached files in a group [bytes]. In version 1, entries with the prefix
-    total_ include the subgroups.
+    """Return the memory of cached files in a group [bytes].
+
+    In version 1, entries with the prefix total_ include the subgroups.
     """
     parts = dict(line.split() for line in _text(group / "memory.stat").splitlines())
     kept = {name: float(value) for name, value in parts.items() if name in RECLAIMED}
@@ -76,9 +77,7 @@ def _quota(group: Path) -> float:
 
 
 def _groups(controller: str, root: Path) -> Iterator[Path]:
-    """Yield the folders of the control groups of this process, each followed by its parent
-    folders.
-    """
+    """Yield the folders of this process's groups, each followed by its parent folders."""
     paths = dict(_own_groups(root))
     for mount in _mounts(root):
         if mount.version == 1 and controller not in mount.controllers:
@@ -100,9 +99,8 @@ def _below(path: str, top: str) -> str:
 
 
 def _own_groups(root: Path) -> Iterator[tuple[str, str]]:
-    """Yield each controller with the path of this process's control group.
-
-    In version 2 of control groups, the name of the controller is empty.
+    """Yield each controller with the path of this process's group; in version 2, the name
+    is empty.
     """
     for line in _text(root / "proc/self/cgroup").splitlines():
         _, _, rest = line.partition(":")

@@ -71,10 +71,6 @@ def looking_up(kernels: Iterable[Any], device: str = "cpu") -> Iterator[None]:
     """Within this context, look up kernels in Warp's cache in another thread.
 
     Warp then knows the hashes of the kernels' code, so that `compile_missing` is faster afterwards.
-
-    Args:
-        kernels: The kernels to look up; if this is an iterator, the other thread reads it.
-        device: Warp device.
     """
     start()
     with ThreadPoolExecutor(1, "look-up") as pool:

@@ -19,9 +19,7 @@ def cores() -> int:
 
 
 def physical_cores() -> int:
-    """Return the number of cores to which the hardware threads belong; if it is unknown, the number
-    of hardware threads.
-    """
+    """Return the number of physical cores; if it is unknown, of hardware threads."""
     try:
         mine = os.sched_getaffinity(0)
         return _within_quota(len({Path(SIBLINGS.format(thread)).read_text() for thread in mine}))
@@ -36,13 +34,13 @@ def free_cores() -> int:
 
 
 def _hardware_threads() -> int:
-    """Return the number of hardware threads that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _within_quota(threads: int) -> int:
-    """Limit a number of threads to the number of whole CPUs in the quota. A thread on a fraction of
-    a CPU would delay the other threads.
+    """Limit a number of threads to the number of whole CPUs in the quota.
+
+    A thread on a fraction of a CPU would delay the other threads.
     """
     return max(1, int(min(threads, cpu_quota())))
 

@@ -106,7 +106,7 @@ def driver() -> Driver:
 
 
 def _library_version() -> Version | None:
-    """Read the CUDA version that the driver supports from its library.
+    """Read the CUDA version that the driver supports from the driver's library.
 
     Warp does not tell the version of an old driver, because Warp does not load such a driver.
     """

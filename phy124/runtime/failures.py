@@ -1,8 +1,6 @@
 """Explains any exception to users: kind, exit status and error message.
 
-The command line, the bridge and the web page use this module, so that no user sees a traceback and
-a problem has the same message everywhere. Exceptions of libraries are recognised by name, in order
-not to import the libraries.
+Exceptions of libraries are recognised by name, in order not to import the libraries.
 """
 
 import errno
@@ -31,7 +29,7 @@ MEMORY_WORDS = (
 )
 """Phrases in messages of libraries that report a lack of memory without a MemoryError."""
 NAMES = {"PIL": "Pillow", "warp": "Warp", "cv2": "OpenCV", "safetensors_rust": "safetensors"}
-"""Names by which users know libraries whose import names differ; the keys are the import names."""
+"""Names by which users know libraries; the keys are the import names."""
 
 
 class Kind(Enum):
@@ -178,7 +176,7 @@ def _place(problem: BaseException) -> str:
 
 
 def _modules(trace: TracebackType | None) -> Iterator[str]:
-    """Yield the names of the modules in a traceback, from the outermost to the innermost."""
+    """Yield the names of the modules in a traceback, outermost first."""
     while trace is not None:
         yield str(trace.tb_frame.f_globals.get("__name__", PROJECT))
         trace = trace.tb_next

@@ -35,15 +35,13 @@ FOLDERS, HEADERS = "wp_phy124_*_p*_t*", "headers_*/*.tmp"
 PROCESS = re.compile(r"_p(\d+)_t\d+$")
 """Pattern of the process id in the name of a temporary folder."""
 LOCKS = "locks"
-"""Folder in the cache with an empty file for each hash of a module, which is locked during
-compilation."""
+"""Folder in the cache with a file for each hash of a module, which is locked during compilation."""
 LONGEST_WAIT = 120
 """Longest wait for another process that compiles the same module [s]; it may have been paused."""
 INSTANTIATE = "-fpch-instantiate-templates"
 """Compiler flag: instantiate the templates of the headers once, when the headers are precompiled.
 
-Without this flag, the compiler instantiates the templates again for each module, which takes 0.1 s.
-The flag does not change the object files.
+Without this flag, the compiler instantiates the templates for each module, which takes 0.1 s.
 """
 OLD = 600
 """Age at which temporary headers count as abandoned [s]; compiling headers takes only seconds."""
@@ -132,12 +130,8 @@ def _load_mended(
 def _find_twin(made: Path, source: Path) -> Path | None:
     """Return the object file of another module with the same code and options, if there is one.
 
-    Kernels of two laws are equal if they use the same functions of the laws. Warp's hash of a
-    module, at the end of its name, covers the options of the compiler.
-
-    Args:
-        made: The object file to make.
-        source: The module's C++ code.
+    Kernels of two laws are equal if they use the same functions of the laws. The hash at the end of
+    a module's name covers the options of the compiler.
     """
     code = source.read_bytes()
     for folder in source.parents[1].glob(f"*_{source.stem.rpartition('_')[2]}"):
@@ -277,13 +271,10 @@ def _is_abandoned(folder: Path) -> bool:
 
 @contextmanager
 def _lock(*, wait: bool) -> Iterator[bool]:
-    """Lock the cache: shared for compiling, exclusive for cleaning up.
+    """Lock the cache: shared for compiling, exclusive for cleaning up; yield whether the lock is
+    held.
 
-    Args:
-        wait: If true, wait for the shared lock; if false, try once to get the exclusive lock.
-
-    Yields:
-        Whether the lock is held.
+    If `wait` is true, wait for the shared lock; otherwise try once to get the exclusive lock.
     """
     try:
         descriptor = os.open(str(wp.config.kernel_cache_dir), os.O_RDONLY)
@@ -330,7 +321,7 @@ def keep_headers() -> None:
 
 
 def headers_folder() -> Path:
-    """Return the folder of the headers; it is next to the kernels of the same version of Warp.
+    """Return the folder of the headers.
 
     Each installation of Warp has a separate folder, because the compiler checks paths and times of
     headers.

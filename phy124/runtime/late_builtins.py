@@ -26,10 +26,7 @@ class LateVariants:
 
 
 def declare_late() -> None:
-    """Make Warp declare the Python variants of its functions only when one of them is called.
-
-    Call this function before importing Warp.
-    """
+    """Make Warp declare the Python variants late; call this function before importing Warp."""
     if DECLARING not in sys.modules:
         sys.meta_path.insert(0, LateVariants())  # pyright: ignore[reportArgumentType]
 

@@ -17,8 +17,7 @@ OURS = "phy124.kernels."
 def parse_late() -> None:
     """From now on, make Warp parse each device function of phy124 only when it is needed.
 
-    Functions of other packages, kernels, and functions with `wp.static` are parsed immediately.
-    Unknown versions of Warp are not changed.
+    Functions with `wp.static` are parsed immediately. Unknown versions of Warp are not changed.
     """
     try:
         from warp import config

@@ -20,7 +20,7 @@ UNUSED = {
     **{f"numpy.{name}": () for name in ("char", "ctypeslib", "f2py", "polynomial", "testing")},
     "unittest.mock": ("Mock", "patch"),
 }
-"""For each module that is not imported, the classes that other modules import from it."""
+"""For each module that is not imported, the classes that other modules import from this module."""
 TYPED_ONLY = "pydantic_core.core_schema"
 """Name of the module with typed dictionaries that only type checkers read."""
 SCIPY = ("scipy.ndimage", "scipy.sparse.linalg", "scipy.spatial", "scipy.fft")

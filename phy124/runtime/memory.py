@@ -61,7 +61,6 @@ def free_memory(device: str = "cpu") -> float:
 
 
 def _of_machine() -> float:
-    """Return the free memory of the machine [bytes]."""
     try:
         for line in Path("/proc/meminfo").read_text().splitlines():
             if line.startswith("MemAvailable:"):

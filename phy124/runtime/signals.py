@@ -14,12 +14,11 @@ Handler = Callable[[int, FrameType | None], object]
 
 @contextmanager
 def handling(handler: Handler, *, always: Collection[str] = ()) -> Iterator[None]:
-    """Within this context, signals that end a process call `handler`. Outside of the main thread,
-    the context has no effect.
+    """Within this context, signals that end a process call `handler`.
 
-    Signals that the parent process has set to be ignored (nohup) stay ignored, unless they are in
-    `always`. The option `always` exists because a shell without job control makes background
-    processes ignore SIGINT.
+    Outside of the main thread, the context has no effect. Signals that the parent process has set
+    to be ignored (nohup) stay ignored, unless they are in `always`. The option `always` exists
+    because a shell without job control makes background processes ignore SIGINT.
     """
     usual = {}
     if threading.current_thread() is threading.main_thread():

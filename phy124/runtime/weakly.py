@@ -6,8 +6,7 @@ from weakref import WeakMethod
 
 
 def weakly(method: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a function that calls a method of an object, but does not keep the object in
-    memory.
+    """Return a function that calls a method, but does not keep the method's object in memory.
 
     If a part kept its owner, owner and part would refer to each other. Python would then free their
     arrays only when it searches for such cycles. The owner must exist whenever the function is

@@ -3,8 +3,7 @@
 An endless C++ loop cannot be interrupted from Python, neither by Ctrl-C nor by a thread. The
 process is started from a file of this package instead of by `multiprocessing`. A user's script
 therefore needs no `if __name__ == "__main__"`, and `run` works from any thread and on every
-platform. The process imports only the function's own module. The process is ended when its time
-limit is over, when the caller is interrupted or cancels, and when the caller's process dies.
+platform.
 """
 
 import os
@@ -30,7 +29,7 @@ NO_WINDOW: int = getattr(subprocess, "CREATE_NO_WINDOW", 0)
 
 
 class Deadline(NamedTuple):
-    """Time limit of isolated code, and a function that may cancel it."""
+    """Time limit of isolated code, and a function that may cancel the code."""
 
     seconds: float = 120.0
     beat: Callable[[], object] = lambda: None
@@ -38,7 +37,7 @@ class Deadline(NamedTuple):
 
 
 PATIENT = Deadline()
-"""Default deadline. For comparison, a segmentation takes half a second on an idle machine."""
+"""Default deadline; a segmentation takes half a second on an idle machine."""
 
 
 class Unfinished(Exception):
