@@ -28,9 +28,7 @@ FRAMES = 6
 SECONDS = 0.2
 """Time limit for the timed frames [s]."""
 COST_POWER = 4
-"""The time of substeps is proportional to the number of cells to this power. With more cells, there
-are more particles and shorter substeps.
-"""
+"""The time of substeps is proportional to the number of cells to this power."""
 
 
 class Cost(NamedTuple):
@@ -39,8 +37,7 @@ class Cost(NamedTuple):
     cells: int
     substeps: float
     others: float
-    """Computing time of a frame that does not depend on the grid [s]: computing and showing the
-    Gaussians."""
+    """Time to compute and show the Gaussians of a frame [s]; it does not depend on the grid."""
 
     def on(self, cells: int) -> float:
         """Estimate the computing time of a frame on another grid [s]."""
@@ -48,9 +45,7 @@ class Cost(NamedTuple):
 
 
 class Choice(NamedTuple):
-    """A scene on the finest grid that is fast enough on this machine, or else on the coarsest
-    grid.
-    """
+    """A scene on the finest grid that is fast enough on this machine, or on the coarsest grid."""
 
     scene: Scene
     factor: float

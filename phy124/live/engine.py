@@ -1,8 +1,8 @@
 """Runs a scene frame by frame while inputs act on it.
 
-A frame fails if the watchdog rejects it or if it needs too many substeps. The run then stores a
-note, drops the inputs, and continues from the last valid frame, from an earlier frame, or from the
-start. The run ends only if a frame fails although no input has acted since the start.
+A frame fails if the watchdog rejects the frame or if the frame needs too many substeps. The run
+then drops the inputs and continues from an earlier valid state. The run ends only if a frame fails
+although no input has acted since the start.
 """
 
 import math
@@ -322,8 +322,8 @@ class Live:
         self._changed = True
 
     def move(self, wall: int, to: Sequence[float]) -> None:
-        """Move a boundary to a displacement [m] from its initial position, no faster than a hand
-        moves.
+        """Move a boundary to a displacement [m] from its initial position, at most at a hand's
+        speed.
 
         Raises:
             InputError: There is no such boundary, the boundary cannot be moved or follows a motion
@@ -339,16 +339,14 @@ class Live:
         self._offsets[wall] = self._note_change(*self.limits.place("move.to", to))
 
     def contacts(self) -> dict[str, Wrench]:
-        """Return the mean forces [N] and torques [N m] on walls and between bodies since the last
+        """Return mean forces [N] and torques [N m] on walls and between bodies since the last
         frame.
         """
         return dict(self._frame.wrenches or {})
 
     @property
     def pairs(self) -> dict[str, str]:
-        """For each force between two objects (such as `duck_on_cushion`): the object on which it
-        acts.
-        """
+        """The object on which each force between two objects acts, such as `duck_on_cushion`."""
         return places.list_pairs(self._run)
 
     @property
@@ -358,7 +356,7 @@ class Live:
 
     @property
     def points(self) -> dict[str, NDArray[np.float64]]:
-        """For each object, the positions of its particles [P,3], m; for a rigid one, its centre."""
+        """The positions of each object's particles [P,3], m; of a rigid object, the centre."""
         return places.list_points(self._run)
 
     @property
@@ -389,7 +387,7 @@ class Live:
         return scene.model_copy(update={"time": scene.time.model_copy(update={"frames": frames})})
 
     def clip(self) -> Clip:
-        """Simulate the session again and return the clip; it equals the live run bit for bit."""
+        """Simulate the session again and return the clip, which equals the live run bit for bit."""
         return Simulation(self._prepare(self.session())).run()
 
     def _prepare(self, scene: Scene, **options: Any) -> Setup:
@@ -407,9 +405,7 @@ class Live:
             self._move_on(wall, offset, next_time)
 
     def _move_on(self, wall: int, offset: Vector, next_time: float) -> None:
-        """Move a wall towards the requested offset in the next frame, no faster than a hand
-        moves.
-        """
+        """Move a wall towards an offset in the next frame, no faster than a hand moves."""
         moved = self._inputs.moved.setdefault(wall, WallPath())
         here, there = np.array(moved.points[-1]), np.array(offset)
         step, most = there - here, FASTEST * self.limits.size / self._scene.time.fps
@@ -427,7 +423,6 @@ class Live:
         self._changed = True
 
     def _apply(self) -> None:
-        """Pass new inputs to the run."""
         if self._changed:
             # The first kick of a frame also covers the half substep before the frame starts.
             self._run.change(self._inputs.scene(self.time - 1 / self._scene.time.fps))
@@ -443,8 +438,7 @@ class Live:
         self._run.most_substeps = math.ceil(SLOWEST * usual)
 
     def _go_back(self, why: str) -> Frame:
-        """Drop the inputs; continue from the last valid state, from an earlier one, or from the
-        start.
+        """Drop the inputs, and continue from the last valid state from which the run succeeds.
 
         Raises:
             Stopped: No input has acted since the start.
@@ -473,7 +467,7 @@ class Live:
         self._run.change(self._inputs.scene())
 
     def _note_change(self, value: Vector, sentence: str) -> Vector:
-        """Return the value of a pair (value, sentence); note the sentence unless it is empty."""
+        """Note a sentence unless the sentence is empty, and return the value."""
         if sentence:
             self._note(sentence)
         return value

@@ -132,9 +132,8 @@ class Inputs:
         self.moved = {i: moved for i, moved in self.moved.items() if len(moved.times) > 1}
 
     def _weights(self, since: float) -> list[AnyForce]:
-        """Return the scene's forces and the gravity inputs.
-
-        Each gravity input ends when the next one begins.
+        """Return the scene's forces and the gravity inputs; each of these ends when the next
+        begins.
         """
         if not self.gravity:
             return list(self.base.forces)
@@ -152,7 +151,6 @@ class Inputs:
 
 
 def _acts_after(item: GrabRecord | WrenchForce | Gravity, since: float) -> bool:
-    """Return whether an input acts after `since` [s]."""
     return item.end is None or item.end > since
 
 

@@ -2,9 +2,7 @@
 
 By default a hand pulls with three times the object's weight, which lifts and throws the object. On
 soft material, a hand pulls with less force, because material that is pulled faster than sound would
-be squeezed flat. At the strain `STRAIN`, the held material reaches about a quarter of the speed of
-sound before the neighbouring material reacts. The object's weight stretches the hand's spring by a
-few hundredths of the object's size.
+be squeezed flat.
 """
 
 from __future__ import annotations
@@ -24,7 +22,9 @@ STANDARD_GRAVITY = 9.81
 LIFTS = 3.0
 """Default strength of a hand on stiff material, as a multiple of the object's weight."""
 STRAIN = 0.3
-"""Largest strain of the held material under the default strength of a hand."""
+"""Largest strain of the held material under the default strength of a hand. At this strain, the
+material reaches about a quarter of the speed of sound before the neighbouring material reacts.
+"""
 STRONGEST = 30.0
 """Largest strength of a hand, as a multiple of the object's weight."""
 TWIST = 0.2
@@ -85,8 +85,9 @@ class Limits:
         return check_number(field, radius, 0.01 * self.size, 2 * self.size)
 
     def strength(self, modulus: float, radius: float) -> float:
-        """Return a hand's default strength [N] on material within `radius` [m]; `modulus` is the
-        modulus of pressure waves in the material [Pa].
+        """Return a hand's default strength [N] on material within `radius` [m].
+
+        `modulus` is the modulus of pressure waves in the material [Pa].
         """
         return min(LIFTS * self.weight, STRAIN * modulus * math.pi * radius**2)
 

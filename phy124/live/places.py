@@ -75,7 +75,7 @@ def _modulus(setup: Setup, index: int) -> float:
 
 
 def list_points(run: Simulation) -> dict[str, NDArray[np.float64]]:
-    """Return the positions of each object's particles [P,3], m; for a rigid object, its centre."""
+    """Return the positions of each object's particles [P,3], m; of a rigid object, the centre."""
     x, body = _positions(run), _objects(run)
     points = {run.scene.names[number]: x[body == number] for number in np.unique(body)}
     return {name: motion.place[None] for name, motion in _list_rigid(run).items()} | points
@@ -152,9 +152,7 @@ def set_motion(run: Simulation, name: str, motion: Motion, *, twist: bool) -> No
     R = (new * old.inv()).as_matrix()
 
     def carry(x: NDArray, v: NDArray) -> tuple[NDArray, NDArray]:
-        """Return the positions [m] and velocities [m/s] of material points after the rigid
-        motion.
-        """
+        """Return positions [m] and velocities [m/s] after the rigid motion."""
         arm = (x - before.place) @ R.T
         rotated = motion.velocity + np.cross(motion.spin, arm) if twist else v @ R.T
         return motion.place + arm, rotated
@@ -183,14 +181,9 @@ def _carry_particles(
     R: NDArray[np.float64],
     set_to: Motion | None,
 ) -> None:
-    """Move particles as a rigid body.
+    """Move the particles `mask` [P] as a rigid body with the rotation `R` [3,3].
 
-    Args:
-        solver: The solver.
-        mask: The particles that move [P].
-        carry: Function that returns new positions and velocities.
-        R: Rotation of the move [3,3].
-        set_to: The new motion, if velocities are set.
+    If `set_to` is not None, the particles also get this motion's velocities.
     """
     state = solver.state
     arrays = {key: np.array(array.numpy()) for key, array in state.arrays().items()}
@@ -226,7 +219,7 @@ def compute_centres(run: Simulation) -> dict[str, NDArray[np.float64]]:
 
 
 def list_pairs(run: Simulation) -> dict[str, str]:
-    """Return, for each force between two objects, by name: the object on which it acts."""
+    """Return the object on which each force between two objects acts, by the name of the force."""
     solver = run.solver
     acted_on = [solver.model.names[pair.second] for pair in solver.pairs.all]
     acted_on += [name.rpartition("_on_")[2] for name in solver.free.names]
@@ -245,10 +238,7 @@ def _positions(run: Simulation) -> NDArray[np.float64]:
 
 
 def _list_movable(scene: Scene) -> list[int]:
-    """Return the indices of the objects that are not fixed.
-
-    If all objects are fixed, return all indices.
-    """
+    """Return the indices of the objects that are not fixed; of all objects if all are fixed."""
     numbers = [i for i, item in enumerate(scene.every_object) if not (item.held or item.scenery)]
     return numbers or list(range(len(scene.names)))
 

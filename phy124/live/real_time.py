@@ -22,13 +22,6 @@ class RealTime:
         clock: Callable[[], float] = time.perf_counter,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
-        """Start the clock.
-
-        Args:
-            fps: Frames per second of simulated time.
-            clock: Function that returns the time of a monotonic clock [s].
-            sleep: Function that waits for a number of seconds.
-        """
         self.speed = 1.0
         """Number of simulated seconds per real second; a value below 1 gives slow motion."""
         self._fps, self._clock, self._sleep = fps, clock, sleep
