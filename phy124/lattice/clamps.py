@@ -131,8 +131,7 @@ class PassedOn:
             near: Indices of the points.
             points: Nodes and weights of each point.
             force: Mean force on each point in a substep [S,3], N.
-            sums: Sums, including work, of the wall or body that exerts the force; None if there are
-                none.
+            sums: Sums, including work, of the wall or body that exerts the force, or None.
         """
         nodes, kernel = self._nodes, make_pass_on(self._model.real)
         inputs = [near, *points, nodes.movable, nodes.inverse, self._holder, nodes.rest, nodes.u]
@@ -171,10 +170,9 @@ def pins(
 def slots_at(
     nodes: NDArray[np.int64], clamps: Sequence[tuple[int, NDArray[np.int64]]], device: str
 ) -> wp.array:
-    """Return, for each node, the tracks of the clamps that contain the node [K,L]; -1 means no
-    clamp.
+    """Return the tracks of the clamps that contain each node [K,L]; -1 means no clamp.
 
-    `clamps` are the track and the nodes of each clamp.
+    Each item of `clamps` contains the track and the nodes of a clamp.
     """
     among = [(slot, np.isin(nodes, theirs)) for slot, theirs in clamps]
     slots = [np.where(inside, slot, -1) for slot, inside in among if inside.any()]

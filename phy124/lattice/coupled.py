@@ -210,7 +210,7 @@ def copy_points(points: State, state: State, index: NDArray[np.int64]) -> None:
 def part_of_bodies(
     model: Model, bodies: Sequence[int], still: Sequence[int]
 ) -> tuple[Model, NDArray[np.int64]]:
-    """Return a model of `bodies`, in this order, and the indices of their particles.
+    """Return a model of `bodies`, in this order, and the particles' indices in `model`.
 
     The bodies `still` never move.
     """

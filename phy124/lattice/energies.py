@@ -73,7 +73,7 @@ class Energies(Kept):
         """Work of replaced clamps, and the part due to the clamps' motion [J]."""
 
     def start(self) -> None:
-        """Sum the work of all causes from the next recording of the kernel launches on."""
+        """Sum the work of all causes, starting when the kernel launches are next recorded."""
         crew = self._crew
         self._on, self._pools = True, {at.SHOCK: crew.new_pool()}
         if crew.viscous:

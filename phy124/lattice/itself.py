@@ -208,7 +208,7 @@ class Meeting:
         return self._partners.flagger(self._sample, between=self._between)
 
     def _list(self, points: NDArray[np.int64]) -> None:
-        """Determine the pairs of some surface points; points that already had a partner keep their
+        """Determine the pairs of some surface points; points with an earlier partner keep the
         force.
         """
         surface = self._surface
@@ -228,8 +228,7 @@ class Meeting:
         self._fill(a, {**pairs, **partners})
 
     def _overlap(self, a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Return how deep separate pieces of a body overlap at rest, for each pair of points [K],
-        m.
+        """Return how deep pieces of a body overlap at rest, for each pair of points [K], m.
 
         Surfaces are only as exact as voxels, so they may overlap at rest. Contact does not push
         such surfaces apart.

@@ -33,7 +33,7 @@ several short substeps without a measurement squeeze a point as much as one long
 """
 FORGET = 4
 """Factor by which the measured frequency and closing rate decay faster than in the particle solver.
-They depend on a few points that are squeezed only for a short time.
+Both values depend on a few points that are squeezed only for a short time.
 """
 COLLAPSED = 1e-6
 """Smallest valid length of a substep, relative to the substep of the undeformed body."""

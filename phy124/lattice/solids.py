@@ -134,7 +134,8 @@ class Solids(FreeBodies):
         self._list(turn=True)
 
     def _list(self, *, turn: bool) -> None:
-        """List the surface points near each solid; `turn` also updates the normals near boxes.
+        """List the surface points near each solid; if `turn` is true, update the normals near
+        boxes.
 
         A restored run does not update the normals.
         """
@@ -212,7 +213,7 @@ class _Touch(Kept):
         return act
 
     def add_sums(self, work: ContactWork | None, passed: PassedOn | None) -> None:
-        """Let the last stage also sum work and pass impulses on to clamps; None: it does not."""
+        """Set whether the last stage also sums work and passes impulses on to clamps."""
         near = self._list, self._points, self.force
         self._passed = None if passed is None else passed.of(*near, self._sums)
         known = self._list, self._points, self._gap, self.force

@@ -16,7 +16,7 @@ from phy124.particles.lattice import PER_CELL
 SHARP = 0.6
 """A part of a body is sharp if the mean normal within a cell is shorter than this."""
 CLOSEST = 24
-"""Largest number of normals in this mean."""
+"""Largest number of nearby normals that are averaged to find sharp parts."""
 ABOVE = 0.3
 """Integration points higher above the surface than this serve as surface points [cells]."""
 

@@ -346,9 +346,7 @@ class _Contact:
     def record(
         self, impulses: Impulses | None, work: ContactWork | None, passed: PassedOn | None
     ) -> list[Callable[[], None]]:
-        """Return the stages that find touching points, correct impulses, and sum impulses
-        and work.
-        """
+        """Return stages that find touching points, correct impulses, and sum impulses and work."""
 
         def account() -> None:
             for launch in sums if len(self._near) else ():

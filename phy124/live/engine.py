@@ -346,7 +346,9 @@ class Live:
 
     @property
     def pairs(self) -> dict[str, str]:
-        """The object on which each force between two objects acts, such as `duck_on_cushion`."""
+        """For each force between two objects (`duck_on_cushion`), the object on which the force
+        acts.
+        """
         return places.list_pairs(self._run)
 
     @property

@@ -132,8 +132,9 @@ class Inputs:
         self.moved = {i: moved for i, moved in self.moved.items() if len(moved.times) > 1}
 
     def _weights(self, since: float) -> list[AnyForce]:
-        """Return the scene's forces and the gravity inputs; each of these ends when the next
-        begins.
+        """Return the scene's forces and the gravity inputs.
+
+        Each gravity input ends when the next gravity input begins.
         """
         if not self.gravity:
             return list(self.base.forces)

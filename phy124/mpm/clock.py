@@ -36,9 +36,7 @@ class Clock(Kept):
     ) -> None:
         self.dx, self.viscous = model.dx, model.viscous
         self.cfl, self.ceiling = model.cfl, ceiling
-        """Length of a substep as a fraction of the elastic limit, and the largest allowed length
-        [s].
-        """
+        """Substep length as a fraction of the elastic limit, and the largest allowed length [s]."""
         self.measure_every = measure_every
         """Number of substeps between two measurements of the particles."""
         self.time, self.substeps, self.last_dt = 0.0, 0, 0.0
@@ -142,8 +140,8 @@ class Clock(Kept):
             self.strain, self.travel, self.since_complete = 0.0, 0.0, 0
 
     def begin(self, kick: float, drift: float) -> None:
-        """Write the durations of the substep [s] to the device: `kick` for v, and `drift` for x and
-        F.
+        """Write the substep's durations [s] to the device: `kick` for v, and `drift` for x
+        and F.
         """
         values = (kick, drift, self.time)
         if self._shared is not None:
@@ -152,9 +150,7 @@ class Clock(Kept):
             self.values.assign(np.array(values))
 
     def finish(self, drift: float, *, violent: bool = False) -> None:
-        """Count a finished substep of length `drift` [s]; a violent substep requests a
-        measurement.
-        """
+        """Count a substep of length `drift` [s]; a violent substep requests a measurement."""
         self.time += drift
         self.substeps += 1
         self.since_measured += 1

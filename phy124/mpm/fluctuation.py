@@ -62,11 +62,9 @@ class Fluctuation:
     C: wp.array
     """Velocity gradients that the grid does not represent in this substep [P,3,3], 1/s."""
     v_noise: wp.array
-    """Velocities that are left after several transfers [P,3], m/s; zero after one transfer."""
+    """Velocities left after several transfers [P,3], m/s; zero after one transfer."""
     C_noise: wp.array
-    """Velocity gradients that are left after several transfers [P,3,3], 1/s; zero after one
-    transfer.
-    """
+    """Velocity gradients left after several transfers [P,3,3], 1/s; zero after one transfer."""
     still: wp.array
     """A clock with a time step of zero, with which the grid update does not change velocities."""
 

@@ -189,16 +189,14 @@ class FreeBodies(Kept):
         return wp.zeros(size, dtype=wp.float64, device=self._model.device)
 
     def _reach(self, solid: FreeBody) -> int:
-        """Return the largest distance of a node that the solid can touch from the solid's centre
+        """Return the distance from the solid's centre up to which the solid can touch nodes
         [nodes].
         """
         far = float(np.linalg.norm(solid.half)) if solid.shape == "box" else max(solid.half)
         return math.ceil(far / self._model.dx + MARGIN)
 
     def bind(self, planes: Sequence[Plane], tracks: Tracks) -> None:
-        """Replace the flat walls with which the solids collide, and add the walls' motions to the
-        tracks.
-        """
+        """Replace the flat walls that stop the solids, and add the walls' motions to the tracks."""
         if not self.all:
             return
         model, device = self._model, self._model.device
@@ -301,10 +299,9 @@ class FreeBodies(Kept):
         return tuple(f"{called[body]}_on_{solid.name}" for solid in self.all for body in self._met)
 
     def wrenches(self, seconds: float) -> list[Wrench]:
-        """Return the mean wrench of each particle body on each solid during the last `seconds`
-        seconds.
+        """Return the mean wrench of each particle body on each solid since the call of `begin`.
 
-        The mean starts at the call of `begin`. The order is that of `names`. Torques are about the
+        `begin` was called `seconds` ago. The order is that of `names`. Torques are about the
         origin.
         """
         sums = -(self._total() - self._begun)[:, self._met] / seconds

@@ -150,9 +150,7 @@ class Graph:
         self._limiters.upload({})
 
     def _download(self) -> int:
-        """Update the clock from the device; return the code of the reason why the substeps
-        ended.
-        """
+        """Update the clock from the device; return the code of the reason for the end."""
         clock, limiters = self._clock, self._limiters.download()
         state = self._progress.download()[0]
         clock.time, clock.last_dt = float(state["time"]), float(state["last"])

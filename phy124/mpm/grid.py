@@ -59,9 +59,7 @@ class Grid:
         self.stale = True
         """Whether the window may no longer contain all particles."""
         self.layers: tuple[int, int] | None = None
-        """Layers of nodes (first <= i < last) that the launches recorded next may change; None:
-        all.
-        """
+        """Layers of nodes (first <= i < last) that the next recorded launches change; None: all."""
         self.worker, self.workers = 0, 1
         """Index of the worker whose kernel launches are being recorded, and number of workers."""
 
@@ -112,9 +110,7 @@ class Grid:
         self.use(low, size, wp.zeros(count, dtype=self.vec4, device=self.device))
 
     def use(self, low: NDArray, size: NDArray, nodes: wp.array) -> None:
-        """Use the window of `size` [3] nodes from node `low` [3] on; `nodes` has an additional
-        node.
-        """
+        """Use the window of `size` [3] nodes from `low` [3] on; `nodes` has one additional node."""
         self.low, self.size, self.nodes, self.stale = low, size, nodes, False
         self.momenta = wp.zeros_like(nodes) if self.apart else nodes
         self._changes = None
@@ -122,9 +118,7 @@ class Grid:
 
     @property
     def changes(self) -> wp.array:
-        """Change of each node's velocity by the wall that currently acts; zero before a
-        wall acts.
-        """
+        """Change of each node's velocity by the wall that acts; zero before a wall acts."""
         if self._changes is None:
             self._changes = wp.zeros_like(self.nodes)
         return self._changes

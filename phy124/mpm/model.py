@@ -317,8 +317,8 @@ class State(Kept):
 
     @property
     def deformation(self) -> wp.array:
-        """Deformation gradients that Gaussians follow: `total` if a material is plastic, otherwise
-        F.
+        """Deformation gradients that Gaussians follow: `total` if a material is plastic, or
+        else F.
         """
         return self.total if len(self.total) else self.F
 
@@ -332,7 +332,6 @@ def part_of(array: wp.array, part: slice) -> wp.array:
 
 
 def _zero_held(motion: NDArray, model: Model) -> NDArray:
-    """Return velocities or velocity gradients, set to zero for particles that never move."""
     if not model.held:
         return motion
     moves: NDArray = model.moves.reshape(-1, *[1] * (motion.ndim - 1))

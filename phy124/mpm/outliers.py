@@ -67,9 +67,8 @@ class Outliers(Kept):
         self.indices = wp.array(out, dtype=int, device=self._model.device)
 
     def confine(self, corners: Sequence[tuple[NDArray, NDArray]]) -> bool:
-        """Adapt the box to the corners of the bodies' bounding boxes [3], m.
-
-        The result is whether the particles must be measured again.
+        """Adapt the box to the bodies' corners [3], m; return whether to measure the particles
+        again.
         """
         if self.bounded:
             lower = np.min([low for low, _ in corners], axis=0)

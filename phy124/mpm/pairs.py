@@ -31,12 +31,10 @@ Box = tuple[NDArray[np.int64], NDArray[np.int64]]
 
 
 class Pair(NamedTuple):
-    """Contact parameters of two bodies."""
+    """Contact parameters of two bodies with the indices `first` and `second`."""
 
     first: int
-    """Index of the first body."""
     second: int
-    """Index of the second body."""
     friction: float = 0.5
     """Coefficient of Coulomb friction between the two bodies."""
     sticky: bool = False
@@ -49,8 +47,7 @@ class Pairs(Kept):
     kept = ("_sums", "_begun", "_added")
 
     def __init__(self, model: Model, listed: Sequence[Pair], workers: int) -> None:
-        """Allocate the sums of impulses; `listed` are the pairs whose contact differs from the
-        default.
+        """Allocate the sums; `listed` are the pairs whose contact differs from the default.
 
         Raises:
             ValueError: A pair does not consist of two bodies of the model, or it is listed twice.
@@ -68,9 +65,7 @@ class Pairs(Kept):
         shape = (workers, len(self.all), ROOM)
         self._sums = wp.zeros(shape, dtype=wp.float64, device=model.device)
         self._added = np.zeros((len(self.all), SUMS))
-        """Impulses between liquids and bodies, which another solver computes, summed per pair
-        [pairs,6].
-        """
+        """Sums per pair of the impulses of liquids, which another solver computes [pairs,6]."""
         self._begun = self._total()
         self._fill = fill_of(model)
 
@@ -101,8 +96,7 @@ class Pairs(Kept):
         return self._signs() @ self._total()[:, :MOMENT]
 
     def rows(self) -> tuple[wp.array, wp.array]:
-        """Return the sums of impulses, with a row for each worker and pair, and a sign for each
-        row.
+        """Return sums of impulses, with a row for each worker and pair, and a sign for each row.
 
         The sign is 1 or -1 if the first or the second body of the pair is fixed, otherwise 0.
         """

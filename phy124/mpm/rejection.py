@@ -22,9 +22,7 @@ from phy124.mpm.timestep import CELLS_PER_STEP, STRAIN_PER_STEP, TRAVEL
 from phy124.mpm.tracks import Tracks
 
 TRIES = 100
-"""Largest number of trials for a substep; each trial is at most half as long as the
-previous one.
-"""
+"""Largest number of trials for a substep; each is at most half as long as the previous trial."""
 FIRST = 4
 """Number of trial substeps at the start of a run if a force may change velocities suddenly."""
 PULL = 0.1
@@ -75,9 +73,7 @@ class StepRejection:
         """Upper bound of the acceleration of particles by forces [m/s^2]."""
         tops = [stage.top_speed(before, end) for stage in self._pushes if stage.top_speed]
         self.wall = max(_max_rate(self._tracks, before, end), *tops, 0.0)
-        """Largest speed of a wall or a stream [m/s], which a particle may reach in a single
-        substep.
-        """
+        """Largest speed of a wall or stream [m/s]; a particle may reach it in a single substep."""
         self._changing = any(track.changes(before, end) for track in self._tracks.tracks)
 
     def sudden(self, clock: Clock) -> bool:
@@ -163,7 +159,6 @@ class StepRejection:
         return dt, 2 * cells > CELLS_PER_STEP
 
     def _speed(self, grids: Sequence[Grid]) -> float:
-        """Return the largest speed of a node [m/s]."""
         self._fastest.zero_()
         kernel, device = make_grid_speed(self._model.real), self._model.device
         for grid in grids:

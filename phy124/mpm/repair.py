@@ -46,9 +46,7 @@ class Repair(Kept):
         Deformations on lattices need no repair, since they are computed from the nodes.
         """
         self.count, self.first = 0, NO_PARTICLE
-        """Number of particles that were reset in finished frames, and the lowest of their
-        indices.
-        """
+        """Number of particles reset in finished frames, and the lowest index of such particles."""
         self._resets = wp.zeros(2, dtype=int, device=model.device)
         real, limits = model.real, [*SOUND_J, SOUND_F, NARROWEST]
         outputs, count = [state.F, state.C, self._resets], len(model) if needed else 0
@@ -58,9 +56,7 @@ class Repair(Kept):
         self._started, self._strain, self._last = False, 0.0, 0.0
 
     def begin(self, clock: Clock) -> None:
-        """Start a frame, or another attempt at the frame: repair the deformations of the
-        particles.
-        """
+        """Repair the deformations of the particles at the start of each attempt at a frame."""
         self._resets.assign([self.count, self.first])
         self._launch(self._reset)
         self.count, self.first = self._resets.numpy().tolist()

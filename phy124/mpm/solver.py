@@ -1,8 +1,8 @@
 """Solver: explicit MLS-MPM substeps of stable length.
 
-The launches of a substep are recorded once (phy124/mpm/substep.py) and then repeated. Several
-threads repeat them for parts of the particles (phy124/mpm/workers.py), or a CUDA device repeats
-them without the host (phy124/mpm/graph.py).
+The launches of a substep are recorded once (phy124/mpm/substep.py) and then repeated: by threads
+for parts of the particles (phy124/mpm/workers.py), or by a CUDA device without the host
+(phy124/mpm/graph.py).
 """
 
 import itertools
@@ -227,7 +227,6 @@ class Solver(Kept):
         between[1] += 1
 
     def _seconds(self) -> float:
-        """Return the total time of all stages so far [s]."""
         return sum(seconds for seconds, _ in self.timings.values())
 
     def step(self, kick: float, drift: float) -> None:
@@ -433,7 +432,6 @@ class Solver(Kept):
             raise Unstable(f"{lost} particles are NaN or infinite")
 
     def _safe_interval(self) -> int:
-        """Return a number of substeps between two measurements of speeds that is safe."""
         interval = min(self.clock.measure_every, MEASURE_EVERY)
         if not self.on_device:
             interval = self.rejection.interval(self.clock, self._calm_strain())

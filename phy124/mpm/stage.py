@@ -16,13 +16,9 @@ class Stage(NamedTuple):
     name: str
     """Name under which reports list the stage's time."""
     record: Callable[[Grid], wp.Launch | None]
-    """Function that records the launch for a grid's window; the result is None if none is
-    needed.
-    """
+    """Function that records the launch for a grid's window, or returns None if none is needed."""
     sudden: bool = False
-    """Whether the stage may change a velocity abruptly even if the values of its track are
-    small.
-    """
+    """Whether the stage may change a velocity abruptly even if its track's values are small."""
     in_newtons: bool = False
     """Whether the track contains forces on each particle [N] instead of accelerations [m/s^2]."""
     keeps_C: bool = False

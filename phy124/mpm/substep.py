@@ -58,7 +58,7 @@ def kernels(laws: Iterable[Law], real: Any, form: str) -> Iterator[Any]:
 
 
 class Gathered(Protocol):
-    """An object that reads the particles of one worker and law at a time, after their gather."""
+    """An object that reads each worker's particles of one law at a time, after the gather."""
 
     def allocate(self, model: Model, workers: int) -> None:
         """Allocate the object's memory for a number of workers."""
@@ -159,7 +159,7 @@ class Recorder:
 
     @property
     def _grid(self) -> Grid:
-        """A grid for kernel launches that need a grid as an argument but do not use its nodes."""
+        """A grid for launches that need a grid as an argument but do not use the grid's nodes."""
         return next(grid for grid in self.grids if grid.count) if self.model.wet else self.grids[0]
 
     def _push(self, stages: Sequence[Stage], worker: int) -> list[Named]:
@@ -215,9 +215,7 @@ class Recorder:
     def _wall(
         self, wall: Stage, grid: Grid, place: int, worker: int, *, alone: bool
     ) -> Recorded | None:
-        """Return a worker's launch for a wall and a body; if `alone`, only the first worker has
-        one.
-        """
+        """Return a worker's launch for a wall and a body; if `alone`, only for the first worker."""
         if alone:
             return (wall.name, wall.record(grid)) if worker == 0 else None
         bodies = len(self._moving)
@@ -311,7 +309,6 @@ class Recorder:
         return records
 
     def _update(self, body: int, worker: int, clock: wp.array | None = None) -> list[Recorded]:
-        """Return the kernel launch that updates a worker's part of a grid."""
         model, grid, slabs = self.model, self.grids[body], self.slabs
         momenta = grid.nodes if clock is not None else grid.momenta
         clock = self.tracks.clock if clock is None else clock

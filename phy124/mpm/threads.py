@@ -92,9 +92,7 @@ class Team:
         self._hand_over(None)
 
     def complete(self, task: Task) -> None:
-        """Run a task for all members and wait; without threads, run it for one member after
-        another.
-        """
+        """Run a task for all members and wait; without threads, the members run in turn."""
         if self.alive:
             self.put(task)
             task(0)

@@ -144,9 +144,7 @@ def check_times(times: Sequence[float], values: int, name: str) -> None:
 
 @dataclass(frozen=True)
 class Track:
-    """A quantity over time: linear between keys, constant before the first and after the
-    last key.
-    """
+    """A quantity over time: linear between keys, constant before the first and after the last."""
 
     keys: tuple[Key, ...]
     """Times of the keys since the origin [s], and the track's values at these times."""

@@ -56,14 +56,10 @@ class Part:
     particles: slice
     """Range of indices that contains all particles of the part."""
     chosen: wp.array
-    """Indices of the part's particles within this range; empty if the whole range belongs to the
-    part.
-    """
+    """Indices of the part's particles in this range; empty if the part is the whole range."""
     count: int
     nodes: Grid
-    """The nodes to which the part scatters: the body's grid, or nodes that only this worker
-    uses.
-    """
+    """The nodes to which the part scatters: the body's grid, or nodes of this worker only."""
     maxima: wp.array
     """Maxima measured over the particles of the part (phy124/kernels/measure.py)."""
 
@@ -150,9 +146,7 @@ class Slabs:
 
     @property
     def outgrown(self) -> bool:
-        """Whether the slabs have grown so much that another division of the particles would save
-        time.
-        """
+        """Whether the slabs have grown so much that it saves time to divide the particles again."""
         if self._share == 0:
             self._share = self.share
         return len(self.pool) > NODES * len(self._model) and self.share > GROWN * self._share
@@ -206,8 +200,8 @@ class Slabs:
         return grid.reach(*Maxima.of(row).corners) if np.isfinite(row).all() else None
 
     def place(self, boxes: Sequence[tuple[NDArray, NDArray]]) -> None:
-        """Allocate cleared nodes for each slab; `boxes` are the lowest node [3] and the size [3] of
-        each.
+        """Allocate cleared nodes for each slab; `boxes` are the slabs' lowest nodes and
+        sizes [3].
         """
         rooms = [-(-(int(np.prod(size)) + GAP) // LINE) * LINE for _, size in boxes]
         starts = [0, *itertools.accumulate(rooms)]
@@ -252,7 +246,6 @@ class Slabs:
             worker.parts = [part for part in parts if part is not None]
 
     def _part(self, index: int, group: Group) -> Part | None:
-        """Return a worker's part of a group; None if the worker has no particle of the group."""
         model = self._model
         members = np.flatnonzero(self._owner[group.particles] == index)
         if len(members) == 0:
