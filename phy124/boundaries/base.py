@@ -104,7 +104,7 @@ class Boundary(Section):
         return np.full(3, -np.inf), np.full(3, np.inf)
 
     def bounds(self, model: Model) -> Corners:
-        """Return the corners [m] of a box around all nodes that may respond to the shape at
+        """Return the corners [m] of a box around the nodes that may respond to the shape at
         rest.
         """
         low, high = self.extent(model)
@@ -205,9 +205,7 @@ class Boundary(Section):
         return lambda grid: recorder(grid) if grid.particles == particles else None
 
     def spans(self, model: Model) -> bool:
-        """Return whether a column perpendicular to the wall may extend over several layers
-        along x.
-        """
+        """Return whether a column of nodes may extend over several layers of nodes along x."""
         if not self.at_surface(model.dx):
             return False
         _, normal, _ = self.geometry(model)
@@ -236,9 +234,6 @@ class Boundary(Section):
         return None
 
     def _settler(self, model: Model) -> Callable[[Grid], wp.Launch | None]:
-        """Return a function that records the kernel launch for nodes where columns of nodes
-        cross.
-        """
         low, high = self._swept_bounds(model)
 
         def record(grid: Grid) -> wp.Launch | None:
@@ -254,7 +249,6 @@ class Boundary(Section):
         return bounds if track is None else swept(bounds, track)
 
     def _recorder(self, model: Model, tracks: Tracks, slot: int) -> Recorder:
-        """Return the function that records the kernel launch of this wall."""
         bounds, columns_overlap = self._swept_bounds(model), self.columns_overlap(model.dx)
         at_surface = self.at_surface(model.dx)
         kernel = self.kernel(model.real, model.dx)

@@ -88,9 +88,7 @@ class Force(Section):
         return Track.of_profile(value, self.profile, self.start, end, mean=mean)
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Return the stages that the force adds to each substep; none for a uniform
-        acceleration.
-        """
+        """Return the stages that the force adds to a substep; none for a uniform acceleration."""
         raise NotImplementedError
 
     def mass_in(self, model: Model) -> float:
@@ -101,9 +99,7 @@ class Force(Section):
         return float(share @ np.asarray(model.mass.numpy(), np.float64))
 
     def shares(self, rest: NDArray) -> NDArray[np.float64]:
-        """Return the fraction of the force on each particle [P]; `rest` [P,3], m, are rest
-        positions.
-        """
+        """Return the force's fraction on each particle [P]; `rest` [P,3], m, are rest positions."""
         inside = np.ones(len(rest)) if self.region is None else self.region.contains(rest)
         return np.asarray(inside, np.float64)
 

@@ -95,9 +95,7 @@ class Impulse(Force):
         return Track(track.keys, self.start, end, track.origin, track.period, mean)
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Accelerate the region by p / (m I): mass m of the region, time integral I of the
-        profile.
-        """
+        """Accelerate the region by p / (m I), with mass m and time integral I of the profile."""
         x, y, z = per_mass(self, self.p, model)
         time = self.duration * self._mean()
         return accelerate(self, (x / time, y / time, z / time), model, state, tracks)

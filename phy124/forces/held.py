@@ -1,6 +1,4 @@
-"""Forces on a part of an object: the particles that are inside a ball when the object is at
-rest.
-"""
+"""Forces on a part of an object: the particles in a ball when the object is at rest."""
 
 from __future__ import annotations
 
@@ -48,9 +46,7 @@ class Part(NamedTuple):
     mass: float
     """Weighted mass of the part: the sum of w m [kg]."""
     drawn: float
-    """Effective mass of the part at the start [kg]: force divided by the acceleration of the
-    centre.
-    """
+    """Effective mass of the part at the start [kg]: force divided by acceleration of the centre."""
     reach: float
     """Distance between the centre of the part and its farthest particle, at rest [m]."""
     inertia: float

@@ -102,7 +102,6 @@ def held_rate(
 
 
 def _on(scene: Scene, cells: int) -> Scene:
-    """Return the scene with this number of cells, and with Gaussians bound to a lattice."""
     accuracy = scene.resolution.model_copy(update={"cells": cells, "precision": "float32"})
     return scene.model_copy(update={"accuracy": accuracy, "binding": "lattice"})
 

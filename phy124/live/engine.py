@@ -322,8 +322,7 @@ class Live:
         self._changed = True
 
     def move(self, wall: int, to: Sequence[float]) -> None:
-        """Move a boundary to a displacement [m] from its initial position, at most at a hand's
-        speed.
+        """Displace a boundary by `to` [m] from its initial position, no faster than a hand moves.
 
         Raises:
             InputError: There is no such boundary, the boundary cannot be moved or follows a motion
@@ -339,16 +338,12 @@ class Live:
         self._offsets[wall] = self._note_change(*self.limits.place("move.to", to))
 
     def contacts(self) -> dict[str, Wrench]:
-        """Return mean forces [N] and torques [N m] on walls and between bodies since the last
-        frame.
-        """
+        """Return the mean wrenches on walls and between bodies since the last frame [N, N m]."""
         return dict(self._frame.wrenches or {})
 
     @property
     def pairs(self) -> dict[str, str]:
-        """For each force between two objects (`duck_on_cushion`), the object on which the force
-        acts.
-        """
+        """The object on which each force between two objects (`duck_on_cushion`) acts."""
         return places.list_pairs(self._run)
 
     @property
@@ -463,7 +458,6 @@ class Live:
         return self._run.step()
 
     def _drop(self, time: float) -> None:
-        """Remove all inputs that act later than a time [s]."""
         self._inputs.forget(time)
         self._target, self._offsets = None, {}
         self._run.change(self._inputs.scene())

@@ -103,7 +103,6 @@ class Inputs:
         return self.base.model_copy(update=done)
 
     def _stiffness_profile(self, since: float) -> dict[str, Keyframes]:
-        """Return the factors on Young's modulus as a field of the scene; empty if unchanged."""
         if self.softness == [(0.0, 1.0)]:
             return {}
         first = max(sum(time <= since for time, _ in self.softness) - 1, 0)

@@ -233,7 +233,6 @@ def _objects(run: Simulation) -> NDArray[np.int32]:
 
 
 def _positions(run: Simulation) -> NDArray[np.float64]:
-    """Return the positions of all particles [P,3], m."""
     return np.asarray(run.solver.state.x.numpy(), dtype=np.float64)
 
 

@@ -98,8 +98,7 @@ class Material(Section):
     )
 
     def calm_strain(self, growth: float, stiffness: float) -> float:
-        """Return the largest strain for which the stiffness grows by at most the factor `growth` >
-        1.
+        """Return the largest strain for which the stiffness grows by at most the factor `growth`.
 
         `stiffness` is A / rho of the stiffest particle [m^2/s^2]. The default is for the fixed
         corotated law, which stiffens most among the elastic laws. The factor of this law is 2 J^2 -
@@ -134,9 +133,7 @@ class Material(Section):
         return np.tile(np.array(self.history(), np.float64), (len(x), 1))
 
     def wave_speed(self) -> float:
-        """Return `sqrt(A / rho)` [m/s] of unstrained material; A is the modulus that limits
-        substeps.
-        """
+        """Return `sqrt(A / rho)` without strain [m/s]; A is the modulus that limits substeps."""
         raise NotImplementedError
 
     def sound_speed(self) -> float:

@@ -1,7 +1,7 @@
 """Reads the memory and CPU limits that Linux control groups (containers) set for this process.
 
-Versions 1 and 2 of control groups are read, even if both are mounted. A group's limit applies to
-all groups below it, so the effective limit is the smallest limit on the path to the root group.
+A group's limit applies to all groups below it, so the effective limit is the smallest limit on the
+path to the root group.
 """
 
 import math
@@ -25,9 +25,7 @@ class Mount(NamedTuple):
     """The group at the mount point; in a container, this is the container's group."""
     version: int
     controllers: frozenset[str]
-    """Controllers of a hierarchy of version 1. In version 2, a single hierarchy has all
-    controllers.
-    """
+    """Controllers of a hierarchy of version 1; in version 2, one hierarchy has all controllers."""
 
 
 def memory_left(root: Path = ROOT) -> float:
@@ -41,9 +39,7 @@ def cpu_quota(root: Path = ROOT) -> float:
 
 
 def _left(group: Path) -> float:
-    """Return a group's memory limit minus memory in use [bytes]; reclaimable memory counts
-    as free.
-    """
+    """Return the memory that a group may still use [bytes]; reclaimable memory counts as free."""
     for limit, use in (
         ("memory.max", "memory.current"),
         ("memory.limit_in_bytes", "memory.usage_in_bytes"),
@@ -66,7 +62,6 @@ def _reclaimable(group: Path) -> float:
 
 
 def _quota(group: Path) -> float:
-    """Return a group's CPU quota divided by the period of the quota."""
     quota, _, period = _text(group / "cpu.max").strip().partition(" ")
     if not period:
         quota, period = (_text(group / f"cpu.cfs_{name}_us") for name in ("quota", "period"))
@@ -93,15 +88,12 @@ def _groups(controller: str, root: Path) -> Iterator[Path]:
 
 
 def _below(path: str, top: str) -> str:
-    """Return the path of a control group relative to the group at the hierarchy's mount point."""
     inside = path.removeprefix(top.rstrip("/")) if f"{path}/".startswith(f"{top}/") else path
     return inside.lstrip("/")
 
 
 def _own_groups(root: Path) -> Iterator[tuple[str, str]]:
-    """Yield each controller with the path of this process's group; in version 2, the name
-    is empty.
-    """
+    """Yield each controller with this process's group; in version 2, the controller is ""."""
     for line in _text(root / "proc/self/cgroup").splitlines():
         _, _, rest = line.partition(":")
         controllers, _, path = rest.partition(":")
@@ -109,7 +101,6 @@ def _own_groups(root: Path) -> Iterator[tuple[str, str]]:
 
 
 def _mounts(root: Path) -> Iterator[Mount]:
-    """Yield all control-group hierarchies that are visible to this process."""
     for line in _text(root / "proc/self/mountinfo").splitlines():
         fields, _, kind = line.partition(" - ")
         words = kind.split()

@@ -134,7 +134,6 @@ def _sentence(kind: Kind, problem: BaseException) -> str:
 
 
 def _words(problem: BaseException) -> str:
-    """Return the message of an exception on one line, without a full stop at the end."""
     text = " ".join(str(problem).split()) or type(problem).__name__
     return (text if len(text) <= LONGEST else f"{text[:LONGEST]}...").rstrip(".")
 
@@ -176,7 +175,6 @@ def _place(problem: BaseException) -> str:
 
 
 def _modules(trace: TracebackType | None) -> Iterator[str]:
-    """Yield the names of the modules in a traceback, outermost first."""
     while trace is not None:
         yield str(trace.tb_frame.f_globals.get("__name__", PROJECT))
         trace = trace.tb_next

@@ -17,9 +17,8 @@ _EXTRAS = re.compile(rf"{PACKAGE}\[([\w,\s-]+)\]")
 def install_command(extra: str) -> str:
     """Return the command that installs an optional extra of pyproject.toml.
 
-    In a clone of the repository, the command is `make bridge`, or a pip command that installs the
-    clone's folder. Elsewhere, the command calls pip with the packages of the extra, because phy124
-    may be missing from the package index.
+    Outside of a clone of the repository, the command calls pip with the packages of the extra,
+    because phy124 may be missing from the package index.
     """
     root = clone()
     if root is None:

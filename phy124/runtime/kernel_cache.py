@@ -179,7 +179,7 @@ def _alone(folder: Path | None) -> Iterator[None]:
     """Within this context, no other process or thread compiles the code of this folder's module.
 
     A process that has waited finds the module compiled. The first module of a cache also compiles
-    the headers, so all modules wait for it.
+    the headers, so all modules wait for the first module.
     """
     if folder is None or folder.is_dir() or fcntl is None:
         yield
@@ -256,7 +256,6 @@ def _sweep() -> None:
 
 
 def _is_abandoned(folder: Path) -> bool:
-    """Return whether the process that created a temporary folder has ended."""
     number = PROCESS.search(folder.name)
     if number is None:
         return False
@@ -271,10 +270,10 @@ def _is_abandoned(folder: Path) -> bool:
 
 @contextmanager
 def _lock(*, wait: bool) -> Iterator[bool]:
-    """Lock the cache: shared for compiling, exclusive for cleaning up; yield whether the lock is
-    held.
+    """Lock the cache: shared for compiling, exclusive for cleaning up.
 
-    If `wait` is true, wait for the shared lock; otherwise try once to get the exclusive lock.
+    If `wait` is true, wait for the shared lock; otherwise try once to get the exclusive lock. The
+    context's value states whether the lock is held.
     """
     try:
         descriptor = os.open(str(wp.config.kernel_cache_dir), os.O_RDONLY)

@@ -84,7 +84,6 @@ def _stand_ins() -> Iterator[None]:
 
 @contextmanager
 def _plain_docs(names: list[str]) -> Iterator[None]:
-    """Within this context, prevent SciPy from formatting docstrings."""
     docs: Any = None
     if any(name.startswith("scipy") for name in names):
         with suppress(ImportError):

@@ -111,8 +111,7 @@ def pause_collection() -> Iterator[None]:
     """Disable the garbage collector within this context; modules should be imported in it.
 
     Later collections also skip the objects that exist at the end of the context. Otherwise,
-    collections would take 0.9 s of a command that takes 6 s. Of the 11 s in which the page's
-    modules are imported, they would take 2 s.
+    collections would take 0.9 s of a command that takes 6 s.
     """
     was = gc.isenabled()
     gc.disable()

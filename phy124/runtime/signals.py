@@ -35,8 +35,7 @@ def handling(handler: Handler, *, always: Collection[str] = ()) -> Iterator[None
 
 @contextmanager
 def without_signals(names: Collection[str] = NAMES) -> Iterator[None]:
-    """Within this context, new processes never receive the signals, and this thread receives them
-    later.
+    """Within this context, new processes never get the signals, and this thread gets them later.
 
     Terminals and supervisors send such a signal to all processes of a command, but only the first
     process should decide how the command ends. On Windows, this context has no effect.

@@ -70,7 +70,6 @@ def temporary_folder() -> Path:
 
 
 def _usable(folder: Path) -> bool:
-    """Test whether a folder is writable, by writing a file."""
     if folder.parts[:1] == ("~",):  # this user has no home folder
         return False
     try:

@@ -100,7 +100,6 @@ def run(
 
 
 def _answer(child: subprocess.Popen[bytes], order: bytes, deadline: Deadline) -> bytes:
-    """Return the output of the process, after it has ended."""
     answers: queue.SimpleQueue[bytes] = queue.SimpleQueue()
     threading.Thread(target=_talk, args=(child, order, answers), daemon=True).start()
     end = time.monotonic() + deadline.seconds
