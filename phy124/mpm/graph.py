@@ -2,7 +2,7 @@
 
 On CUDA a launch from Python takes longer than many of the kernels. One substep is therefore
 captured as the body of a loop on the device. The last kernel of the loop
-(phy124/kernels/timestep.py) ends the loop when only the host can continue. A condition in a graph
+(phy124/kernels/timestep.py) chooses the next substep, or ends the loop. A condition in a graph
 takes longer than most kernels. Substeps that cannot be the last one therefore run without a
 condition.
 """

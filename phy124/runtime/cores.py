@@ -19,7 +19,7 @@ def cores() -> int:
 
 
 def physical_cores() -> int:
-    """Return the number of physical cores; if it is unknown, of hardware threads."""
+    """Return the number of physical cores for this process; if unknown, of hardware threads."""
     try:
         mine = os.sched_getaffinity(0)
         return _within_quota(len({Path(SIBLINGS.format(thread)).read_text() for thread in mine}))

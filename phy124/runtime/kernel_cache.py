@@ -35,7 +35,7 @@ FOLDERS, HEADERS = "wp_phy124_*_p*_t*", "headers_*/*.tmp"
 PROCESS = re.compile(r"_p(\d+)_t\d+$")
 """Pattern of the process id in the name of a temporary folder."""
 LOCKS = "locks"
-"""Folder in the cache with a file for each hash of a module, which is locked during compilation."""
+"""Folder in the cache with lock files, one for each hash of a module."""
 LONGEST_WAIT = 120
 """Longest wait for another process that compiles the same module [s]; it may have been paused."""
 INSTANTIATE = "-fpch-instantiate-templates"
