@@ -1,6 +1,6 @@
 """Fluctuation: the part of the particles' motion that the grid does not represent.
 
-APIC discards the fluctuation; all other schemes restore a part of the fluctuation.
+APIC discards the fluctuation; AFLIP and XPIC restore a part of the fluctuation.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def usable_rpic(scheme: Scheme, cfl: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Fluctuation:
-    """The kernel launches of a transfer scheme other than APIC."""
+    """The kernel launches of AFLIP or XPIC."""
 
     model: Model
     state: State
