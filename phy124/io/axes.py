@@ -1,8 +1,6 @@
 """Converts the axes of a file to those of phy124, and rotates Gaussians.
 
-In the world of phy124, z is up and the object faces +x (docs/reference/conventions.md). If `rotate`
-is set, the file is rotated first. `up`, `front` and the axes of the file's dialect then refer to
-the rotated file.
+In the world of phy124, z is up and the object faces +x (docs/reference/conventions.md).
 """
 
 import math
@@ -25,10 +23,7 @@ DIALECTS = {
     "dreamgaussian": ("y", "z"),
     "sam3d": ("z", "-y"),
 }
-"""Up and front directions in a file, by the program that wrote the file.
-
-TRELLIS works with z up, but its files have y down. SAM 3D Objects saves files with z up.
-"""
+"""Up and front directions in a file, by the program that wrote the file."""
 FRONTS = {"y": "z", "-y": "-z", "z": "x", "-z": "-x", "x": "y", "-x": "-y"}
 """Assumed front direction for each up direction, if only the up direction is known."""
 ACROSS = 0.02
@@ -140,9 +135,8 @@ def parse_numbers(text: str, count: int) -> NDArray[np.float64] | None:
 def rotate_gaussians(gaussians: Gaussians, rotation: NDArray[np.float64]) -> Gaussians:
     """Rotate the centres, shapes and colours of Gaussians about the origin by `rotation [3,3]`.
 
-    If the rotation only permutes the axes and changes signs, the quaternions' vector parts and the
-    scales are permuted in the same way as the centres. Such a rotation is exact, except that
-    harmonics above degree 0 are rounded.
+    If the rotation only permutes axes and changes signs, the result is exact, apart from harmonics
+    above degree 0, which are rounded.
     """
     if not np.array_equal(np.abs(rotation), np.abs(rotation).round()):
         means = gaussians.means.astype(np.float64) @ rotation.T
@@ -173,6 +167,5 @@ def _rotate_colours(sh: NDArray, rotation: NDArray[np.float64]) -> NDArray:
 
 
 def _usual_front(z: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the usual front direction for an up direction `z`, from the axis nearest to `z`."""
     nearest = max(FRONTS, key=lambda axis: float(parse_direction("up", axis) @ z))
     return parse_direction("front", FRONTS[nearest])

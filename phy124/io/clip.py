@@ -1,7 +1,4 @@
-"""Defines a clip (the Gaussians of every frame) and stores it as one safetensors file.
-
-Videos, players, ROS bags and measurements can be made from a clip alone.
-"""
+"""Defines a clip (the Gaussians of every frame) and stores it as one safetensors file."""
 
 from __future__ import annotations
 
@@ -77,14 +74,13 @@ class Clip:
     contacts: Array | None = None
     """Mean force [newton] of the walls on each Gaussian since the previous frame [T,N,3].
 
-    The clip has no such forces (None) if the scene does not ask for contact forces.
+    None if the scene does not ask for contact forces.
     """
     wrenches: NDArray[np.float64] | None = None
     """Mean wrench that the object exerts on each of W walls since the previous frame [T,W,2,3]: the
     force [N], and the torque about the object's centre of mass [N m]. None if the
     scene does not ask for them."""
     walls: tuple[str, ...] = ()
-    """Names of the walls [W]."""
     object_id: NDArray[np.int32] | None = None
     """Object index of each Gaussian [N]; None if there is only one object."""
     objects: tuple[str, ...] = ()
@@ -231,9 +227,8 @@ class Clip:
     def velocity(self, index: int) -> Array | None:
         """Return the velocities of the centres at a frame [N,3], m/s; None for a single frame.
 
-        If the clip has simulated velocities (`velocities = true` in its scene), they are returned.
-        If not, velocities are the difference quotients (x_after - x_before) / (t_after - t_before)
-        of the adjacent frames. The quotients are one-sided at the first and at the last frame.
+        These are the simulated velocities, if the clip has them. If not, they are the difference
+        quotients of the adjacent frames, which are one-sided at the first and the last frame.
         """
         if self.velocities is not None:
             return self.velocities[index]
@@ -263,7 +258,6 @@ class Clip:
         return replace(self, motion=replace(motion, describes=self._arrays_of_motion()))
 
     def _arrays_of_motion(self) -> tuple[Any, ...]:
-        """Return the arrays that are computed from a motion, if the clip has one."""
         return tuple(getattr(self, name) for name in DESCRIBED)
 
     def with_report(self, report: dict[str, Any]) -> Clip:
@@ -294,10 +288,6 @@ class Clip:
 
     def save(self, path: str | os.PathLike[str], packed: Packed | None = None) -> None:
         """Write the clip to one safetensors file; the file appears only when it is complete.
-
-        Args:
-            path: The file.
-            packed: The packed motion, if it has been computed.
 
         Raises:
             InputError: If the folder is missing or the file cannot be created.
@@ -371,7 +361,6 @@ def stack_arrays(rows: Sequence[NDArray]) -> NDArray:
 
 
 def _owner(array: NDArray) -> Any:
-    """Return the array that owns the memory of a view; the view may be a view of a view."""
     owner: Any = array
     while isinstance(owner, np.ndarray) and owner.base is not None:
         owner = owner.base
@@ -430,9 +419,7 @@ def _read_metadata(path: Path) -> dict[str, str]:
 
 
 def restate(path: Path, clip: Clip) -> bool:
-    """Replace the report in a clip's file.
-
-    Return False if the new report is too long for the header.
+    """Replace the report in a clip's file; return False if the report is too long for the header.
 
     Raises:
         OSError: If the file cannot be written.
@@ -458,9 +445,8 @@ def _write_metadata(path: Path, metadata: Mapping[str, str]) -> bool:
 
 
 def _open_tensors(path: Path) -> dict[str, NDArray]:
-    """Read the tensors of a small file, and memory-map those of a large file.
-
-    If another program shortens a memory-mapped file, the system ends the process that reads it.
+    """If another program shortens a memory-mapped file, the system ends the process that reads the
+    file.
     """
     small = path.stat().st_size <= SMALL
     data = np.fromfile(path, np.uint8) if small else np.memmap(path, np.uint8, "r")
@@ -484,8 +470,7 @@ def save_tensors(
     """Write arrays and metadata to one safetensors file.
 
     Raises:
-        OSError: If the file cannot be written, for example because the disk is full. (The exception
-            type of safetensors is converted to OSError.)
+        OSError: If the file cannot be written, for example because the disk is full.
     """
     try:
         whole = {name: np.ascontiguousarray(array) for name, array in tensors.items()}

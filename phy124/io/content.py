@@ -27,23 +27,16 @@ RUNNING = 600
 MOST_KEPT = 5_000_000
 """Largest value of --gaussians."""
 DENSEST = 100
-"""Largest allowed ratio of unpacked to compressed size.
-
-The ratio of unpacked to compressed size is up to 10 for files of real objects, and 1000 for zip
-bombs.
+"""Largest allowed ratio of unpacked to compressed size: it is up to 10 for files of real objects,
+and 1000 for zip bombs.
 """
 SMALL = 1 << 22
-"""Files whose unpacked size is at most this value [bytes] may exceed `DENSEST`, the ratio of
-unpacked to compressed size.
-
-Small objects of one colour, for example, compress very well.
+"""Files up to this unpacked size [bytes] may exceed `DENSEST`, because small objects of one colour
+compress very well.
 """
 OBJECT = "object_id"
-"""Name of the column with the object index of each Gaussian."""
 LARGEST_SH = SH_COEFFICIENTS[-1]
-"""Largest number of harmonics per colour channel (degree 3). Spherical harmonics of degree 4 are
-removed.
-"""
+"""Largest number of harmonics per colour channel (degree 3)."""
 DEGREE_4 = "Harmonics of degree 4 are ignored."
 MOST_ID = 1e6
 """Largest object number; larger numbers are clipped, because float32 cannot resolve them."""
@@ -60,7 +53,6 @@ class Content(NamedTuple):
     """The Gaussians of a file, and properties of the file."""
 
     gaussians: Gaussians
-    """The Gaussians. Functions that read a file return the Gaussians in the axes of the file."""
     dropped: int = 0
     """Number of Gaussians that were removed because a value was NaN or infinite."""
     axes: tuple[str, str | None] = Y_DOWN
@@ -70,13 +62,12 @@ class Content(NamedTuple):
     notes: tuple[str, ...] = ()
     """Sentences about columns that are ignored or read in an unusual way."""
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Origin of the coordinates of `gaussians`, in the file's axes.
-
-    This origin is nonzero only if float32 could not resolve the positions in the file.
+    """Origin of the coordinates of `gaussians`, in the file's axes; nonzero only if float32 could
+    not resolve the positions in the file.
     """
     step: float = 0.0
-    """Spacing of the positions that the file's number format can represent near the object; 0 if it
-    is negligible.
+    """Spacing of the positions that the file can represent near the object; 0 if it is
+    negligible.
     """
 
     @property
@@ -124,7 +115,7 @@ def name_fault(error: Exception) -> str:
 
 
 def check_opens(kind: str, path: Path) -> None:
-    """Raise an error if a file cannot be opened.
+    """Check that a file can be opened.
 
     Raises:
         InputError: If the file cannot be opened.
@@ -295,8 +286,8 @@ def assign_objects(
 ) -> tuple[dict[str, NDArray[np.int32]], list[str]]:
     """Return the object index of each Gaussian (None if there are no objects), and notes.
 
-    If a Gaussian's entry in `ids` [N] is NaN or negative, the Gaussian gets the object index of the
-    nearest Gaussian with a valid index. Distances are measured between the centres [N,3].
+    A Gaussian whose entry in `ids` [N] is NaN or negative gets the index of the nearest Gaussian
+    with a valid index.
     """
     if ids is None:
         return {}, []
@@ -318,20 +309,13 @@ def assign_objects(
 
 
 FAR = 4
-"""float32 is precise enough if an object's distance from the origin, divided by the object's size,
-is at most this value.
-
-If an object is farther from the origin, an origin near the object is stored in double precision,
-and the centres are stored relative to it.
+"""float32 is precise enough if the object's distance from the origin is at most this many times the
+object's size.
 """
 FINE = 20_000
-"""A file's centres are stored relative to an origin near the object if float32 divides the object's
-size into fewer increments than this number.
-"""
+"""float32 is precise enough if it divides the object's size into at least this many increments."""
 COARSE = 4000
-"""Smallest number of float32 increments across an object for which the user is not warned that the
-positions are too coarse.
-"""
+"""With fewer increments than this across an object, the user is warned."""
 ENOUGH = 100_000
 """Approximate number of centres in the sample from which position and size are estimated."""
 LARGEST = 1e38
@@ -343,9 +327,8 @@ ENDS = (1, 99)
 def centre_means(means: NDArray) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
     """Return centres [N,3] relative to an origin [3], and this origin.
 
-    The origin is 0 unless float32 could not resolve the object. For example, in Earth-centred
-    captures, objects are 4,600 km or more from the Earth's centre along an axis. At this distance,
-    float32 values are half a metre apart. The origin is subtracted in double precision.
+    The origin is 0 unless float32 could not resolve the object. Earth-centred captures, for
+    example, have a coordinate of 4,600 km or more, where float32 values are half a metre apart.
     """
     middle, extent = _middle(means)
     blurred = extent < FINE * spacing(middle)
@@ -411,7 +394,6 @@ def _middle(means: NDArray) -> tuple[NDArray[np.float64], float]:
 
 
 def _some(means: NDArray) -> NDArray[np.float64]:
-    """Sample centres evenly from the whole file; skip centres that overflow float32."""
     with np.errstate(invalid="ignore"):  # signalling NaN raises a warning
         some = means[:: max(1, len(means) // ENOUGH)].astype(np.float64)
     return some[(np.abs(some) < LARGEST).all(axis=1)]

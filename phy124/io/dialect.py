@@ -1,9 +1,7 @@
 """Guesses from columns and positions which program wrote a PLY file.
 
-The axes of a file depend on this program, but few programs state their name in their files.
-
-The guess relies on the known output of each program (docs/guide/plugins.md). The guess is reported
-to the user, and is applied only if the user agrees.
+The axes depend on this program, but few programs state their name. The guess relies on the known
+output of each program (docs/guide/plugins.md), and is applied only if the user agrees.
 """
 
 from pathlib import Path
@@ -19,11 +17,8 @@ from phy124.io.ply import CENTRE, DC, QUATS, SCALES, VERTICAL
 from phy124.io.plyheader import Header, read_header
 
 ENOUGH, BLOCKS = 10_000, 20
-"""Number of rows that are sampled from a file, and number of blocks of adjacent rows that they
-form.
-"""
+"""Number of sampled rows, and number of blocks of adjacent rows that they form."""
 LGM = (*CENTRE, *DC, "opacity", *SCALES, *QUATS)
-"""Columns of a file that LGM wrote, in the order of the file."""
 NORMALS = ("nx", "ny", "nz")
 SIGNED = ("phy124", "SuperSplat")
 """Programs that state their name in a comment of the file and use the usual axes."""
@@ -39,9 +34,7 @@ class Axes(NamedTuple):
     said: bool
     """True if the file or its format states the up and front directions; False for a guess."""
     program: str | None = None
-    """The program that probably wrote the file, and the reason for this guess; None for the usual
-    layout.
-    """
+    """The program that probably wrote the file, and the reason; None for the usual layout."""
 
 
 def likely_axes(path: Path, axes: tuple[str, str | None]) -> Axes:
@@ -96,10 +89,7 @@ def likely_dialect(path: Path) -> tuple[str, str] | None:
 
 
 def _some_rows(path: Path, header: Header) -> NDArray:
-    """Sample rows from the whole PLY file; return them as a structured array.
-
-    If the file is short, rows may repeat.
-    """
+    """If the file is short, rows may repeat."""
     each = min(header.count, ENOUGH // BLOCKS)
     firsts = np.linspace(0, header.count - each, BLOCKS).astype(int).tolist()
     places = [header.start + first * header.row.itemsize for first in firsts]

@@ -1,9 +1,7 @@
 """Writes output files atomically: a file appears, or replaces an older file, only when complete.
 
-An output path may also be a link, a device or a pipe. Links are followed, and output is written
-into devices and pipes. A process locks its temporary files. When it ends for any reason, the
-operating system releases these locks. If a temporary file has no lock, its process must therefore
-have been killed.
+Links are followed, and output is written into devices and pipes. A process locks its temporary
+files; a temporary file without a lock was left by a killed process.
 """
 
 import errno
@@ -87,9 +85,9 @@ def is_stream(path: Path) -> bool:
 def create_temporary(path: Path) -> Path:
     """Create an empty temporary file, which `move_to` moves to `path` when it is complete.
 
-    The name of the temporary file has the same extension as `path`, because some writers need the
-    extension. The temporary file is in the folder of the file to which `path` resolves. If `path`
-    is a device or pipe, the temporary file is in the system's temporary folder.
+    The temporary file keeps the extension of `path`, because some writers need the extension. It is
+    in the folder of the resolved path, or in the system's temporary folder if `path` is a device or
+    pipe.
 
     Raises:
         OSError: If no file can be written in that folder.
@@ -106,8 +104,7 @@ def create_temporary(path: Path) -> Path:
 def move_to(source: Path, path: Path) -> None:
     """Move a finished file or folder to a path; replace any file or folder at this path.
 
-    Links are followed; if the path is a device or a pipe, the content is written into it. If the
-    path is on another file system, the content is copied.
+    Links are followed, and content is written into devices and pipes.
 
     Raises:
         OSError: If no file can be written to the path.
@@ -133,7 +130,6 @@ def resolve_links(path: Path) -> Path:
 
 
 def _copy(source: Path, path: Path) -> None:
-    """Move a file or folder to another file system by copying it."""
     if source.is_dir():
         shutil.move(source, resolve_links(path))
         return
@@ -157,14 +153,13 @@ RUNNING = f"{MAKING}run-"
 def staging(out: PathLike, *, keeps: bool = False, alone: bool = False) -> Iterator[Path]:
     """Provide a temporary folder whose files are moved into `out` if the block succeeds.
 
-    If the block fails, the folders that were created for `out` are removed, unless they contain
-    files of another process. Files that killed processes left in `out` are also removed.
+    Files that killed processes left in `out` are removed.
 
     Args:
         out: The folder to fill.
         keeps: Whether complete files are moved into `out` even if the block fails.
-        alone: Whether this run does not share `out`. If another block with `alone`, in any process,
-            is filling `out`, an error is raised.
+        alone: Whether to raise an error if another block with `alone`, in any process, is filling
+            `out`.
 
     Raises:
         InputError: If `out` is a file, cannot be written, or is being filled by another run.
@@ -211,8 +206,7 @@ def staging(out: PathLike, *, keeps: bool = False, alone: bool = False) -> Itera
 def naming_full_disk(folder: Path) -> Iterator[None]:
     """Within this block, make errors about a full disk name the folder to which the block writes.
 
-    Many such errors name no file, and others name a temporary file. An error that names a file
-    outside the folder is not changed.
+    An error that names a file outside the folder is not changed.
 
     Raises:
         OSError: If the disk is full.
@@ -233,9 +227,8 @@ def naming_full_disk(folder: Path) -> Iterator[None]:
 
 
 def deliver(folder: Path) -> list[str]:
-    """Move all complete files and non-empty folders from a `staging` folder to its output folder.
-
-    Return the names of these files and folders.
+    """Move complete files and non-empty folders from a `staging` folder to its output folder;
+    return the names.
     """
     out, made = folder.parent, folder.glob("[!.]*")
     names = sorted(path.name for path in made if path.is_file() or any(path.iterdir()))
@@ -295,12 +288,6 @@ def refuse_unwritable(path: PathLike) -> None:
 
 
 def _create(path: Path) -> Path:
-    """Create a temporary file for a path.
-
-    Raises:
-        InputError: The folder is missing, or the file cannot be written.
-        OSError: The disk is full.
-    """
     try:
         return create_temporary(path)
     except OSError as error:
@@ -315,10 +302,8 @@ def _create(path: Path) -> Path:
 def replacing(path: PathLike) -> Iterator[Path]:
     """Provide a temporary file for writing, which replaces `path` if the block succeeds.
 
-    If `path` is a link, the file to which the link resolves is replaced. If `path` is a device or a
-    pipe, the content is written into it. The file gets the permissions of new files. If the block
-    ends early for any reason, including an interrupt, the temporary file is removed, and an older
-    file at `path` stays unchanged.
+    Links are followed, and content is written into devices and pipes. If the block ends early for
+    any reason, an older file at `path` stays unchanged.
 
     Raises:
         InputError: If the folder is missing or the file cannot be written.

@@ -1,10 +1,8 @@
 """Writes the file of a clip during the run: each frame is written as soon as it is computed.
 
-If a run is killed, the file contains the finished frames. At the end of a run, `finish` writes the
-header. The file is then a valid clip, and no frame needs to be copied. The frames that `put`
-returns are memory-mapped views of the file, so they take no further memory. The finished clip is a
-hard link to the file. The link is created before the original name is removed, so the frames of a
-paused run are always on disk.
+If a run is killed, the file contains the finished frames. `put` returns memory-mapped views of the
+file, which take no further memory. The finished clip is a hard link to the file, so the frames of a
+paused run are always on disk and are never copied.
 """
 
 from __future__ import annotations
@@ -30,9 +28,8 @@ from phy124.progress import Progress, silent
 SPARE = 1 << 14
 """The space reserved for the header of a clip's file is a multiple of this size [bytes]."""
 CODES = {"F32": "<f4", "F64": "<f8", "I32": "<i4"}
-"""NumPy types by their names in safetensors files."""
 SHAPES = ("means", "quats", "scales")
-"""Names of the arrays that contain the Gaussians' positions and shapes, which change over time."""
+"""Arrays of the Gaussians' positions and shapes, which change over time."""
 MOVING = {
     "times",
     *SHAPES,
@@ -56,7 +53,7 @@ class Tensor(NamedTuple):
 
     @property
     def size(self) -> int:
-        """Size of the whole array in the clip's file [bytes]."""
+        """Size of the whole array [bytes]."""
         return int(np.prod(self.shape)) * np.dtype(CODES[self.code]).itemsize
 
 
@@ -173,9 +170,7 @@ class Growing:
         return True
 
     def complete(self, clip: Clip) -> bool:
-        """Write the static arrays and the header.
-
-        Return False if the header is too large for the reserved space.
+        """Write the static arrays and the header; return False if the header is too large.
 
         Raises:
             OSError: If the file cannot be written.
@@ -185,7 +180,7 @@ class Growing:
         return self.state(clip)
 
     def state(self, clip: Clip) -> bool:
-        """Write the header of the clip; return False if there is not enough space for the header.
+        """Write the header of the clip; return False if the header is too large.
 
         Raises:
             OSError: If the file cannot be written.
@@ -238,7 +233,6 @@ class Growing:
         return np.asarray(self.arrays[name][index]) if name in self.arrays else None
 
     def _header(self, clip: Clip, first: int) -> bytes:
-        """Return a safetensors header for tensors whose data begin at byte `first`."""
         entries = {
             name: {
                 "dtype": tensor.code,
@@ -252,7 +246,6 @@ class Growing:
         return json.dumps(text, ensure_ascii=False, separators=(",", ":")).encode()
 
     def _write(self, array: NDArray, offset: int) -> None:
-        """Write a whole array at an offset [bytes], with as many system calls as are necessary."""
         left = np.ascontiguousarray(array).reshape(-1).view(np.uint8)
         while len(left):
             done = os.pwrite(self._file, left.data, offset)
@@ -286,7 +279,6 @@ def write_frames_clip(path: Path, clip: Clip, progress: Progress = silent) -> No
 
 
 def _arrays_of(frame: Frame, rotation: NDArray | None) -> dict[str, NDArray]:
-    """Return the arrays of a frame; the keys are the arrays' names in a clip."""
     wrenches = None if frame.wrenches is None else stack_wrenches([frame])[0]
     arrays = {
         "times": np.array(frame.time, np.float64),

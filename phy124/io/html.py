@@ -1,11 +1,10 @@
 """Writes a clip as one HTML file, and packs clips for the player in the browser.
 
-The HTML file contains a P4D file (phy124/io/formats/lattice4d.py). In fluids, for example, the
-motion of a lattice does not describe the shapes of the Gaussians. In this case, the HTML file
-contains a pack instead. A pack is the gzip of: header length (uint32, little-endian), header
-(JSON), then the arrays below. Arrays are planar (component after component). Arrays that change
-over time are marked with T. Such arrays store the differences between frames, modulo the range of
-the type, because gzip compresses differences much better:
+The HTML file contains a P4D file (phy124/io/formats/lattice4d.py) or, if the motion of a lattice
+does not describe the shapes of the Gaussians, as in fluids, a pack. A pack is the gzip of: header
+length (uint32, little-endian), header (JSON), then the arrays below. Arrays are planar (component
+after component). Arrays that change over time (T) store the differences between frames, modulo the
+range of the type, because gzip compresses differences much better:
 
     colour    [N,4]     uint8    red, green, blue, opacity; harmonics of degree 0 only
     rest      [N,3]     float32  scales at rest, m
@@ -44,7 +43,6 @@ from phy124.io.formats import lattice4d
 from phy124.io.formats.lattice4d import measure, measure_speeds
 
 VIEWER = Path(__file__).with_name("viewer")
-"""Folder that contains the player's scripts, which the web page also uses."""
 SCRIPTS = ("vendor/playcanvas.min.js", "pack.js", "stage.js", "shine.js", "player.js")
 READER = "p4d.mjs"
 STYLE = "player.css"
@@ -57,13 +55,13 @@ BLOCK = 3 << 20
 LOOSE = 0.5
 """Largest error of the Gaussians' shapes for which a clip is stored as a P4D file."""
 Staged = tuple[dict[str, Any], NDArray[np.uint8]]
-"""The lighting stage around the object as plain data, and the stage's shadow maps [T,C,C]
+"""Plain data about the lighting stage, and shadow maps [T,C,C]
 (phy124/rendering/stage/build.py).
 """
 Glossy = dict[str, Any]
-"""Plain data about the reflective Gaussians and their reflectance (phy124/rendering/shine.py).
+"""Plain data about reflective Gaussians (phy124/rendering/shine.py).
 
-For liquids, the data include `hues` [T,N,4] uint8: the colours and opacities in all frames.
+For liquids, `hues` [T,N,4] uint8 are the colours and opacities in all frames.
 """
 
 
@@ -103,10 +101,7 @@ def pack(
 
 
 def _write_arrays(file: IO[bytes], clip: Clip, head: dict[str, Any]) -> None:
-    """Append the arrays of the Gaussians to a file, frame by frame.
-
-    A clip may be larger than the memory, so the frames are written one by one.
-    """
+    """A clip may be larger than the memory, so the frames are written one by one."""
     rest = np.maximum(clip.scales[0], 1e-9)
     file.write(_colours(clip).tobytes() + rest.astype("<f4").tobytes())
     sizes = [width * len(rest) for width in (3, 3, 4, 3, 1)]
@@ -131,7 +126,6 @@ def _write_arrays(file: IO[bytes], clip: Clip, head: dict[str, Any]) -> None:
 
 
 def _compress(file: IO[bytes]) -> bytes:
-    """Return the gzip-compressed bytes of a whole file."""
     packer, parts = zlib.compressobj(4, wbits=GZIP), []
     file.seek(0)
     while block := file.read(BLOCK):
@@ -195,10 +189,6 @@ def _pack_smallest(
     stage: Staged | None,
     shine: Glossy | None,
 ) -> bytes:
-    """Return all Gaussians as a P4D file, or as a pack if a P4D file is larger or not exact enough.
-
-    The module's docstring describes both formats.
-    """
     packed = pack(clip, camera, background=background, stage=stage, shine=shine)
     finite = all(np.isfinite(means).all() for means in clip.means)
     if not finite or (shine and "hues" in shine):
@@ -217,7 +207,6 @@ def _describe(
     stage: Staged | None,
     shine: Glossy | None,
 ) -> dict[str, Any]:
-    """Return the initial settings of the player for a clip, as plain data."""
     shown: dict[str, Any] = {"background": list(background), "view": _view(camera)}
     shown |= {} if stage is None else {"stage": stage[0]}
     until = (clip.report.get("error") or {}).get("until")
@@ -260,17 +249,14 @@ def _colours(clip: Clip) -> NDArray[np.uint8]:
 
 
 def _centres(means: NDArray, low: NDArray, high: NDArray) -> NDArray[np.uint16]:
-    """Quantise positions to 16-bit integers, relative to the bounding box."""
     return np.rint((means - low) / np.maximum(high - low, 1e-12) * 65535).astype("<u2")
 
 
 def _split(values: NDArray[np.uint16]) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """Split 16-bit integers into their low bytes and high bytes."""
     return (values & 255).astype(np.uint8), (values >> 8).astype(np.uint8)
 
 
 def _differences(values: NDArray) -> NDArray:
-    """Subtract the previous frame from each frame, modulo the range of the integer type."""
     out = values.copy()
     for index in range(1, len(out)):
         out[index] -= values[index - 1]

@@ -19,11 +19,8 @@ IN_FOLDERS = {
     "metadata.yaml": RECORDED,
     "clip.safetensors": ("it is the folder of a run, not a file.", "Give {}/clip.safetensors."),
 }
-"""Description and remedy for each kind of folder; the key is the name of a file that is in such a
-folder.
-"""
+"""Description and remedy for each kind of folder, by the name of a file in it."""
 RECORDING = b"\x89MCAP"
-"""First bytes of an MCAP file, which is a recording of messages that the bridge writes."""
 PAGE = (
     "it is a web page, not the file itself.",
     "Download the file again, from the link to the file itself.",
@@ -38,7 +35,7 @@ STAND_INS = {
 }
 """First bytes, in lower case, of texts that are often saved by mistake instead of a file."""
 HEAD = max(map(len, STAND_INS))
-"""Number of bytes at the start of a file that are examined to find out why it cannot be opened."""
+"""Number of bytes at the start of a file that are examined."""
 
 
 def obstacle(path: PathLike) -> tuple[str, str] | None:
@@ -73,7 +70,6 @@ def stand_in(head: bytes) -> tuple[str, str] | None:
 
 
 def _of_folder(path: Path) -> tuple[str, str]:
-    """Return the description and the remedy for a folder that was given instead of a file."""
     for name, words in IN_FOLDERS.items():
         if (path / name).is_file():
             return _about(path, *words)

@@ -2,14 +2,12 @@
 
 The layout is that of Kerbl et al. 2023, "3D Gaussian Splatting": one element `vertex`, whose
 properties are identified by their names. Colours are spherical harmonics; the coefficients `f_rest`
-are first all red, then all green, then all blue. In such PLY files, the axes are x right, y down, z
-into the image. In phy124, z is up and the object faces +x (docs/reference/conventions.md). The axes
-are converted when a file is read or written. The conversion only permutes axes and changes signs,
-so it is exact. Writing and then reading a file therefore changes values only by the rounding of log
-and logit.
+are first all red, then all green, then all blue. The axes are x right, y down, z into the image.
+Their conversion to those of phy124 is exact, so writing and then reading a file changes values only
+by the rounding of log and logit.
 
-Columns of other training programs are applied if they change the Gaussians. Unknown columns are
-listed in a note, because they might also change the Gaussians.
+Columns of other training programs are applied if they change the Gaussians. A note lists unknown
+columns, because they might also change the Gaussians.
 
     program                           columns                     treatment
     Mip-Splatting, GOF, RaDe-GS       filter_3D                   filter applied: wider and fainter
@@ -46,11 +44,9 @@ from phy124.io.files import replacing
 from phy124.io.plyheader import Header, read_header, refusal
 
 BLOCK = 1 << 16
-"""Number of Gaussians that are written at once."""
 PLAIN, WIDER, TEXT = 68, 3, 70
-"""Three constants from which the memory for reading is estimated [bytes]: the size of a binary row
-of degree 0, the memory for each further byte of a binary row, and the memory for each value of an
-ascii row.
+"""Memory for reading [bytes]: for a binary row of degree 0, for each further byte of a binary row,
+and for each value of an ascii row.
 """
 FILTER = "filter_3D"
 """Column with the width of Mip-Splatting's filter, in the file's unit (Yu et al. 2023, eq. 7)."""
@@ -61,16 +57,10 @@ SCALES = ("scale_0", "scale_1", "scale_2")
 QUATS = ("rot_0", "rot_1", "rot_2", "rot_3")
 SPLATS = (*SCALES, *QUATS, "opacity")
 KNOWN = {*CENTRE, *DC, *RGB, *SPLATS, OBJECT, FILTER, "nx", "ny", "nz"}
-"""Columns that are not reported to the user as ignored.
-
-phy124 reads these columns, does not need them (normals), or ignores them because they repeat other
-columns (red, green, blue).
-"""
+"""Columns that are not reported as ignored."""
 ANCHORS = ("f_anchor_feat_0", "f_offset_0")
 FLAT = 0.01
-"""Thickness of Gaussians in files without the column scale_2, relative to a Gaussian's shorter
-side.
-"""
+"""Thickness of Gaussians without the column scale_2, relative to their shorter side."""
 MOST_NAMED = 12
 """Largest number of unknown columns in a note; columns that differ only in a number count once."""
 COEFFICIENTS = (*SH_COEFFICIENTS, 25)
@@ -112,8 +102,7 @@ def check_names(path: Path, header: Header) -> None:
 def read_columns(path: Path, table: NDArray[Any]) -> tuple[Columns, list[str]]:
     """Return the decoded columns, keyed by the fields of `Gaussians`, and notes about the columns.
 
-    The table contains the rows of element `vertex`. Its column names must be accepted by
-    `check_names` before.
+    The rows of `table` belong to the element `vertex` and have passed `check_names`.
 
     Raises:
         InputError: If the number of harmonics belongs to no degree from 0 to 4.
@@ -149,7 +138,7 @@ def _group(
 
 
 def _activate(table: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.float64], list[str]]:
-    """Return standard deviations [N,3], opacities [N] in 0..1, and notes on how both were read."""
+    """Return standard deviations [N,3], opacities [N] in 0..1, and notes."""
     sides = tuple(name for name in SCALES if name in (table.dtype.names or ()))
     scales, notes = _group(table, sides, np.float64), []
     opacities = table["opacity"].astype(np.float64)
@@ -172,10 +161,8 @@ def _activate(table: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.floa
 
 
 def _are_activated(scales: NDArray[np.float64], opacities: NDArray[np.float64]) -> bool:
-    """Return whether a file stores lengths and opacities instead of logarithms and logits.
-
-    The scales alone do not show whether they are logarithms. For example, all logarithms may be
-    positive in a capture in millimetres.
+    """The scales alone do not show whether they are logarithms: in a capture in millimetres, for
+    example, all logarithms may be positive.
     """
     sound = np.isfinite(scales).all(axis=1) & np.isfinite(opacities)
     scales, opacities = scales[sound], opacities[sound]
@@ -200,7 +187,6 @@ def _apply_filter(
 
 
 def _harmonics(path: Path, table: NDArray[Any]) -> tuple[NDArray[np.float32], list[str]]:
-    """Return colours [N,K,3] up to degree 3, and notes for the user about the colours."""
     names = table.dtype.names or ()
     first = _group(table, DC) if set(DC) <= set(names) else _first_of_rgb(table)
     rest = sum(name.startswith("f_rest_") for name in names)
@@ -221,7 +207,6 @@ def _harmonics(path: Path, table: NDArray[Any]) -> tuple[NDArray[np.float32], li
 
 
 def _first_of_rgb(table: NDArray[Any]) -> NDArray[np.float64]:
-    """Convert plain colours (bytes, or fractions in float columns) to harmonics of degree 0."""
     rgb = _group(table, RGB, np.float64)
     kind = table.dtype["red"]
     # All columns of an ascii file are float64. Values above 1 show that the colours are bytes.
@@ -264,7 +249,7 @@ class Ply(NamedTuple):
 
     gaussians: Gaussians
     """The Gaussians in the axes of phy124, in the file's unit of length (assumed to be the metre).
-    The Gaussians are moved to the origin if float32 could not resolve their positions in the file.
+    They are moved to the origin if float32 could not resolve their positions.
     """
     dropped: int
     """Number of the file's rows that were removed because a value was NaN or infinite."""
@@ -283,9 +268,8 @@ def read_ply(
         path: The file.
         up: Direction in the file that points up, in the notation of `phy124.io.axes.orientation`.
         front: Direction of the object's front, in the file's axes.
-        dialect: The program that wrote the file, used if `up` is None. If `up` and `dialect` are
-            None, the axes are those stated in the file's comments or, if there are none, the usual
-            axes.
+        dialect: The program that wrote the file, used if `up` is None; by default, the axes that
+            comments in the file state, or the usual axes.
 
     Raises:
         InputError: If the file is missing or cut short, is no PLY file, or has no Gaussians.
@@ -326,10 +310,7 @@ def read_comments(comments: tuple[str, ...]) -> tuple[tuple[str, str | None], bo
 def write_ply(
     path: str | os.PathLike[str], gaussians: Gaussians, *, antialiased: bool = False
 ) -> None:
-    """Write Gaussians in the Inria layout (binary little-endian float32).
-
-    The file is replaced atomically.
-    """
+    """Write Gaussians in the Inria layout (binary little-endian float32), atomically."""
     with replacing(path) as temporary, open(temporary, "wb") as file:
         for start in range(0, max(len(gaussians), 1), BLOCK):
             some = gaussians.select(slice(start, start + BLOCK))
@@ -346,7 +327,6 @@ def encode(gaussians: Gaussians, *, antialiased: bool = False) -> bytes:
 
 
 def _header(table: NDArray[Any], count: int, *, antialiased: bool) -> bytes:
-    """Return the header of a PLY file whose rows have the same columns as `table`."""
     names = table.dtype.names or ()
     tags = [COMMENT, "Vertical axis: -y", *(MIP if antialiased else NOT_MIP)]
     lines = ["ply", "format binary_little_endian 1.0", *(f"comment {tag}" for tag in tags)]

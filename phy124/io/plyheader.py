@@ -20,15 +20,12 @@ TYPES = {
     "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4",
     "float": "f4", "float32": "f4", "double": "f8", "float64": "f8",
 }  # fmt: skip
-"""NumPy type of each number type of PLY, by its old name (`float`) and its new name (`float32`)."""
 ORDERS = {"ascii": "<", "binary_little_endian": "<", "binary_big_endian": ">"}
 MOST_DIGITS = 30
-"""Largest number of digits in the header's numbers of rows."""
 LINE_ENDS = rb"\r\n|\n|\r"
 """Byte sequences that end a line; `str.splitlines` would also split at other characters."""
 SPLATS = "Keep the file unchanged: `phy124 convert`, `phy124 simulate` and other commands read it."
 refusal = partial(content.refusal, "PLY")
-"""Returns the error for an unusable PLY file; see `phy124.io.content.refusal`."""
 CONVERT = "Convert it with `npx @playcanvas/splat-transform IN OUT.ply` and give OUT.ply."
 
 
@@ -41,7 +38,6 @@ class Element:
     row: np.dtype[Any]
     """Data type of one row of the element, without padding, in the file's byte order."""
     start: int
-    """Offset of the element's first row in the file [bytes]."""
 
 
 @dataclass(frozen=True)
@@ -50,19 +46,15 @@ class Header:
 
     ascii: bool
     count: int
-    """Number of rows of the element `vertex`."""
     row: np.dtype[Any]
     """Data type of one row of `vertex`, without padding, in the file's byte order."""
     start: int
-    """Offset [bytes] of the first row of `vertex` in a binary file, or of all data in an ascii
-    file.
-    """
+    """Offset [bytes] of the first row of `vertex`, or of all data in an ascii file."""
     skip_lines: int
     """Number of lines of other elements before `vertex` in an ascii file."""
     elements: tuple[Element, ...]
     """The elements that come before the first element with list properties."""
     comments: tuple[str, ...] = ()
-    """The comments in the header, such as the name of the program that wrote the file."""
 
 
 @dataclass
@@ -114,7 +106,6 @@ def read_header(path: Path) -> Header:
 
 
 def _header_lines(path: Path) -> tuple[list[list[str]], int]:
-    """Return the header's lines, split into words, and the header's length [bytes]."""
     content.check_opens("PLY", path)
     with open(path, "rb") as file:
         head = file.read(MAX_BYTES)
@@ -159,7 +150,6 @@ def _elements(words: list[list[str]]) -> list[_Element]:
 
 
 def _locate(elements: list[_Element], order: str, start: int) -> tuple[Element, ...]:
-    """Compute the position of the rows of each element."""
     located = []
     for element in elements:
         if not element.properties:

@@ -16,10 +16,8 @@ Raster = NDArray[np.float32]
 LARGEST = 65535
 """Largest 16-bit value."""
 MIDDLE = 32768
-"""Stored integer for the value zero of a signed quantity; 0 is stored for pixels without a value.
-"""
+"""Stored integer for the value zero of a signed quantity; 0 marks pixels without a value."""
 PNG_EFFORT = 3
-"""PNG compression level, 0 to 9."""
 
 
 def step_of(largest: float, *, signed: bool) -> float:
@@ -45,9 +43,7 @@ def sixteen_bits(
 
 
 def write_png16(path: str | os.PathLike[str], raw: NDArray[np.uint16]) -> None:
-    """Write an array [H,W,C] as a 16-bit PNG.
-
-    It is grey if C = 1, RGB if C = 3, and RGB with blue = 0 if C = 2.
+    """Write an array [H,W,C] as a 16-bit PNG: grey if C = 1, RGB if C = 3, without blue if C = 2.
 
     Raises:
         InputError: If the file cannot be written.
@@ -62,9 +58,7 @@ def write_png16(path: str | os.PathLike[str], raw: NDArray[np.uint16]) -> None:
 
 
 def write_exr(path: str | os.PathLike[str], raster: Raster, channels: tuple[str, ...]) -> None:
-    """Write an array [H,W,C] as an EXR file of 32-bit floats.
-
-    `channels` contains the names of the C channels.
+    """Write an array [H,W,C] as an EXR file of 32-bit floats; `channels` are the C names.
 
     Raises:
         InputError: If OpenEXR is not installed or the file cannot be written.

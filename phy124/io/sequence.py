@@ -1,7 +1,7 @@
 """Writes a sequence of files, one per frame, into a folder or a zip archive.
 
 SuperSplat plays numbered files (`name_0001.ply`, ...) that are dropped into its window together.
-Brush plays a zip of PLY files. The axes are converted by the function that writes a single file.
+Brush plays a zip of PLY files.
 """
 
 import os
@@ -34,8 +34,7 @@ def write_sequence(
     The folder or archive appears only when it is complete.
 
     Args:
-        path: A new or empty folder, or a name that ends in .zip for an archive. The archive is not
-            compressed, because compression would hardly make it smaller.
+        path: A new or empty folder, or a name that ends in .zip for an uncompressed archive.
         clip: The clip whose frames are written.
         write: Function that writes the Gaussians of one frame to a path.
         suffix: Extension of the file names, including the dot.

@@ -1,12 +1,9 @@
-"""Writes videos in several formats.
+"""Writes videos: MP4 for players, WebM, MOV and PNG for editing, GIF and animated WebP for chats.
 
-H.264 in MP4 is for players, and PNG files are for video editors.
-
-VP9 in WebM and ProRes 4444 in MOV are for editing, and may be transparent. GIF and animated WebP
-are for chats. Frames are streamed into the encoder while they are rendered. MP4 files have the
-pixel format yuv420p. Frames are converted to ITU-R BT.709 with limited range, as stated in the tags
-of the file. Without tags, players assume BT.709 only for HD videos. The index is at the front of
-the file, so that playback can start before the whole file is downloaded.
+Frames are streamed into the encoder while they are rendered. MP4 files have the pixel format
+yuv420p, in ITU-R BT.709 with limited range, as stated in the tags of the file. Without tags,
+players assume BT.709 only for HD videos. The index is at the front of the file, so that playback
+can start before the whole file is downloaded.
 """
 
 import errno
@@ -50,22 +47,19 @@ FILMS = {
     ".webm": ({3: "yuv420p", 4: "yuva420p"}, VP9),
     ".mov": ({3: "yuv444p10le", 4: "yuva444p10le"}, PRORES),
 }
-"""For each file name extension of a video: the encoder's pixel formats for 3 and 4 channels, and
-its options.
-"""
+"""For each extension: the encoder's pixel formats for 3 and 4 channels, and its options."""
 ANIMATIONS = {".gif": "GIF", ".webp": "WEBP"}
 OPAQUE = 128
 """A GIF shows the pixels whose alpha is at least this value; it has no half-transparent pixels."""
 SMALLEST = 16
 """Smallest width or height to which an animation is reduced to limit the file size."""
 CLEAR = 255
-"""Index of the transparent colour in a GIF."""
 PNG_EFFORT = 3
 """Compression level of PNG files, 0 to 9; higher levels take twice as long and save little."""
 
 
 def refuse_missing_encoder() -> None:
-    """Encode a test frame, and raise an error if the encoder does not work.
+    """Check that the encoder works.
 
     Raises:
         InputError: If the encoder is missing or does not work.
@@ -89,7 +83,6 @@ def encoder_problem() -> str:
 
 @cache
 def _problem_of(program: str) -> str:
-    """Return the reason why an encoder cannot encode a test frame; an empty text if it can."""
     size = 16
     command = [program, *list_source_options(size, size, Fraction(24)), *CODEC, "-f", "null", "-"]
     try:
@@ -110,8 +103,8 @@ def _problem_of(program: str) -> str:
 def write_mp4(path: str | os.PathLike[str], frames: Iterable[Picture], *, fps: float) -> int:
     """Write frames [H,W,3] uint8 as an MP4 file, and return the number of frames.
 
-    H.264 needs an even width and height. If the width or height is odd, the last column or row is
-    repeated. The file is written atomically. If `frames` is a generator, it is always closed.
+    H.264 needs an even width and height, so an odd last column or row is repeated. The file is
+    written atomically. If `frames` is a generator, it is always closed.
 
     Raises:
         InputError: If there are no frames, `fps` is out of range, the file cannot be written, or
@@ -158,10 +151,9 @@ def write_animation(
 ) -> int:
     """Write frames (uint8, [H,W,3 or 4]) as a looping .gif or .webp; return the number of frames.
 
-    Times are stored as multiples of 1 ms in WebP, and of 10 ms in GIF. The end of each frame is
-    rounded to the nearest multiple, so that rounding errors do not add up. GIF has only 256 colours
-    per frame and no half-transparent pixels. All frames are kept in memory until the file is
-    written.
+    Times are stored as multiples of 1 ms in WebP, and of 10 ms in GIF, without accumulated rounding
+    errors. GIF has only 256 colours per frame and no half-transparent pixels. All frames are kept
+    in memory.
 
     Args:
         path: The file, which is written atomically.
@@ -215,7 +207,7 @@ def write_pictures(
 ) -> int:
     """Write frames (uint8, [H,W,3 or 4]) as numbered PNG files, and return the number of frames.
 
-    The files are written into an existing folder as `name_0001.png` and so on, for video editors.
+    The files in the existing folder are called `name_0001.png` and so on.
 
     Raises:
         InputError: If there are no frames or a file cannot be written.
@@ -230,7 +222,7 @@ def write_pictures(
 
 
 def _gif_frame(picture: Picture) -> Image.Image:
-    """Convert a frame for a GIF; a frame with alpha has 255 colours and a transparent colour."""
+    """A frame with alpha has 255 colours and a transparent colour."""
     if picture.shape[2] == 3:
         return Image.fromarray(picture)
     image = Image.fromarray(picture[..., :3]).quantize(CLEAR)
@@ -241,10 +233,7 @@ def _gif_frame(picture: Picture) -> Image.Image:
 def _encode(
     temporary: Path, path: object, pictures: Iterator[Picture], fps: float, codec: list[str]
 ) -> int:
-    """Send the frames to ffmpeg, and wait until ffmpeg ends, even after an error.
-
-    imageio's writer is not used: it returns neither the exit code nor the messages of ffmpeg.
-    """
+    """imageio's writer is not used: it returns neither the exit code nor the messages of ffmpeg."""
     first = next(pictures)
     height, width, channels = first.shape
     rate = Fraction(fps).limit_denominator(1001)
@@ -285,7 +274,6 @@ def list_source_options(width: int, height: int, rate: Fraction, channels: int =
 
 
 def _feed(encoder: subprocess.Popen[bytes], pictures: Iterator[Picture]) -> int:
-    """Send all frames to the encoder, wait until it ends, and return the number it accepted."""
     sent = 0
     for picture in pictures:
         try:
@@ -303,7 +291,6 @@ def _feed(encoder: subprocess.Popen[bytes], pictures: Iterator[Picture]) -> int:
 
 @contextmanager
 def _ended_if_stuck(encoder: subprocess.Popen[bytes]) -> Iterator[None]:
-    """Kill the encoder if the `with` block takes longer than `STUCK` seconds."""
     timer = threading.Timer(STUCK, encoder.kill)
     timer.daemon = True
     timer.start()
@@ -319,7 +306,6 @@ def _pipe(encoder: subprocess.Popen[bytes]) -> IO[bytes]:
 
 
 def _encoder_error(path: object, sent: int, message: str) -> Exception:
-    """Return the exception that reports the encoder's last message."""
     if any(words in message.lower() for words in DISK_WORDS):
         return OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
     message = " ".join(message.split())

@@ -1,10 +1,9 @@
 """Declares the formats in which files of Gaussians are read or written.
 
-`FORMATS` declares each format of phy124 once, for the command line and the web page. To add a
-format for single frames, write a module with the functions `read(path) -> Content` and
-`encode(gaussians, *, antialiased) -> bytes`. Both functions use the axes of the file. Describe the
-layout in a table in the module's docstring, and add a `Format` to `FORMATS`. A package registers
-its own `Format` with an entry point in the group `phy124.formats` (docs/guide/extending-files.md).
+To add a format for single frames, write a module with the functions `read(path) -> Content` and
+`encode(gaussians, *, antialiased) -> bytes`, both in the axes of the file, and add a `Format` to
+`FORMATS`. A package registers its own `Format` with an entry point in the group `phy124.formats`
+(docs/guide/extending-files.md).
 """
 
 import os
@@ -59,7 +58,6 @@ class Format:
     """A format for files of Gaussians, with its reader and its writers."""
 
     name: str
-    """Name of the format in commands."""
     title: str
     suffix: str
     holds: str
@@ -71,7 +69,7 @@ class Format:
     duck.
     """
     bytes_fixed: float = 0.0
-    """Size of a file per frame that does not depend on the number of Gaussians [bytes]."""
+    """Size of a file per frame, apart from its Gaussians [bytes]."""
     degree: int = 3
     """Highest degree of spherical harmonics that the format can store."""
     objects: str = ""
@@ -87,7 +85,6 @@ class Format:
     signs: tuple[bytes, ...] = ()
     """Possible first bytes of a file; empty if only its extension identifies the format."""
     other_suffixes: tuple[str, ...] = ()
-    """Further file name extensions that are allowed for this format."""
 
     @property
     def installed(self) -> bool:
@@ -202,9 +199,7 @@ If several formats have the same suffix, a file name with this suffix selects th
 MESH_ENDINGS = (".gltf", ".obj", ".stl")
 """Extensions of files that can only be meshes; .glb and .ply may contain either."""
 GZIP = b"\x1f\x8b\x08"
-"""First bytes of a file compressed with gzip."""
 HEAD = 4096
-"""Number of bytes at the start of a file that are examined to recognise its format."""
 
 
 def formats() -> dict[str, Format]:
@@ -389,7 +384,6 @@ def recognise(path: Path) -> Format:
 
 
 def _match_signature(known: Iterable[Format], head: bytes, ending: str) -> Format | None:
-    """Return the format that matches a file's first bytes; if several do, the extension decides."""
     signed = [f for f in known if f.signs and head.startswith(f.signs)]
     return next((f for f in signed if f.suffix == ending), signed[0] if signed else None)
 

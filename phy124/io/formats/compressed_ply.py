@@ -87,7 +87,6 @@ def _rows(path: Path, element: Element, size: int) -> NDArray[Any]:
 
 
 def _check(path: Path, header: Header, rows: dict[str, NDArray[Any]]) -> None:
-    """Refuse a file if its elements' columns are incomplete or their lengths do not match."""
     names = {name: set(table.dtype.names or ()) for name, table in rows.items()}
     if not set(PACKED) <= names["vertex"] or not set(BOXES) <= names.get("chunk", set()):
         raise refusal(KIND, path, "some of its packed columns or boxes are missing.")
@@ -126,10 +125,7 @@ def _split(packed: NDArray, bits: tuple[int, ...]) -> NDArray[np.float32]:
 def _within(
     fractions: NDArray, chunk: NDArray[Any], which: NDArray, axes: str | tuple[str, ...]
 ) -> NDArray[np.float64]:
-    """Map fractions 0..1 to values, in double precision.
-
-    The range of values is stated for each chunk of 256 Gaussians.
-    """
+    """Map fractions 0..1 to the range that is stated for each chunk, in double precision."""
     out = np.empty(fractions.shape)
     for i, axis in enumerate(axes):
         low, high = (chunk[f"{end}_{axis}"].astype(np.float64)[which] for end in ("min", "max"))
@@ -143,7 +139,6 @@ def _rotations(packed: NDArray) -> NDArray[np.float32]:
 
 
 def _harmonics(first: NDArray, table: NDArray[Any] | None) -> NDArray[np.float32]:
-    """Return the spherical harmonics [N,K,3] of the colours, up to the file's degree."""
     if table is None or not table.dtype.names:
         return first[:, None].astype(np.float32)
     count = len(table.dtype.names)

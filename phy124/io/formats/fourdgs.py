@@ -1,13 +1,11 @@
 """Writes `.4dgs` files, which contain keyframes and the changes between frames.
 
-The format is the open container of 4dgs.dev, version 1, model `keyframe-delta`. The records of the
-file are encoded by the official library (package fourdgs, Apache-2.0, needs only numpy). The
-library's function `write_sequence` would keep all frames in memory, so this module writes the
-frames one by one. The file declares an error bound for each value. The bound is 2 % of the first
-frame's median scale for positions, 0.5 % for scales, 0.0005 for rotations, and 0.5 / 255 for
-colours and opacities. Every Gaussian has the same index in all frames, and readers can jump to any
-frame. Colours are constant and of degree 0. The axes are those of glTF: y up, z to the front,
-metres.
+The format is the open container of 4dgs.dev, version 1, model `keyframe-delta`. The official
+library (package fourdgs, Apache-2.0) encodes the records. Its function `write_sequence` would keep
+all frames in memory, so this module writes the frames one by one. The declared error bound is 2 %
+of the first frame's median scale for positions, 0.5 % for scales, 0.0005 for rotations, and 0.5 /
+255 for colours and opacities. Colours are constant and of degree 0. The axes are those of glTF: y
+up, z to the front, metres.
 """
 
 import os
@@ -28,10 +26,9 @@ from phy124.progress import Progress, silent
 from phy124.runtime.installation import install_command
 
 PROFILE = "fine"
-"""Name of the library's profile with the smallest error bounds."""
 KEYFRAME = 8
-"""Number of frames from one keyframe of a .4dgs file to the next. To show any frame of a .4dgs
-file, a player reads at most this number of frames.
+"""Number of frames from one keyframe to the next; a player reads at most this number to show any
+frame.
 """
 STILL = 1 / 24
 """Duration of a clip that has only one frame [s]."""
@@ -47,9 +44,7 @@ FOREVER = 1e6
 
 
 def write_fourdgs(path: str | os.PathLike[str], clip: Clip, *, progress: Progress = silent) -> None:
-    """Write a clip as a .4dgs file; this needs the extra `fourdgs`.
-
-    The file appears only when it is complete.
+    """Write a clip as a .4dgs file, atomically; this needs the extra `fourdgs`.
 
     Raises:
         InputError: If fourdgs is not installed, the clip is empty, or the file cannot be written.
@@ -67,11 +62,6 @@ def write_fourdgs(path: str | os.PathLike[str], clip: Clip, *, progress: Progres
 
 
 def _library() -> Any:
-    """Import the modules of fourdgs that this module uses.
-
-    Raises:
-        InputError: If fourdgs is not installed.
-    """
     try:
         from fourdgs import (
             keyframe_delta_file,
@@ -102,14 +92,8 @@ def _turn(gaussians: Gaussians) -> Gaussians:
 
 
 class _Sequence:
-    """A file to which frames are appended one by one; all frames have the same Gaussians."""
-
     def __init__(self, library: Any, file: IO[bytes], clip: Clip, times: list[float]) -> None:
-        """Write the header of the file, which is open and empty.
-
-        `library` contains the modules of fourdgs. `times` [s] contains the start of each frame, and
-        the end of the last frame. The function also measures the range of the clip's centres.
-        """
+        """`times` [s] contains the start of each frame, and the end of the last frame."""
         self._library, self._file, self._times = library, file, times
         self._cadence = library.writer.KeyframeDeltaOptions(keyframe_every=KEYFRAME)
         first = _turn(clip.frame(0).gaussians)
@@ -130,13 +114,11 @@ class _Sequence:
         self._write_head()
 
     def append(self, index: int, gaussians: Gaussians) -> None:
-        """Write a frame: either all values, or the changes since the previous frame."""
         bins = self._quantise(gaussians, self._times[index])
         whole = self._library.writer.is_keyframe(index, self._cadence)
         self._index.append(self._write_keyframe(bins) if whole else self._write_changes(bins))
 
     def finish(self) -> None:
-        """Write the end of the file, which contains the index of all frames."""
         records, start = self._library.records, self._file.tell()
         statistics = records.Statistics(
             gaussian_count=self._count,
@@ -172,7 +154,6 @@ class _Sequence:
         self._file.write(b"".join([self._library.coding.MAGIC, *head]))
 
     def _quantise_still(self, gaussians: Gaussians) -> Bins:
-        """Return the quantised values of the properties that do not change over time."""
         op, steps, quantization = self._library.op, self._grids.steps, self._library.quantization
         zeros = np.zeros((self._count, 1), np.int64)
         return {
@@ -185,7 +166,6 @@ class _Sequence:
         }
 
     def _quantise(self, gaussians: Gaussians, time: float) -> Bins:
-        """Return the quantised values of all properties of a frame at a time [s]."""
         op, grids, quantization = self._library.op, self._grids, self._library.quantization
         quats = np.roll(gaussians.quats, -1, axis=1)
         largest, rest = quantization.quantize_rotation(quats, grids.steps.rot)
@@ -200,7 +180,6 @@ class _Sequence:
         }
 
     def _write_keyframe(self, bins: Bins) -> Any:
-        """Write all values of a frame, and return the frame's entry in the index."""
         encode = partial(self._library.coding.encode_stream, codec=CODEC, level=LEVEL)
         op, every = self._library.op, np.arange(self._count)
         streams = [encode(op.A_GAUSSIAN_ID, every.reshape(-1, 1))]
@@ -213,7 +192,6 @@ class _Sequence:
         return self._note(blob, self._count, kind=0)
 
     def _write_changes(self, bins: Bins) -> Any:
-        """Write the changes since the previous frame, and return the frame's entry in the index."""
         op, writer, records = self._library.op, self._library.writer, self._library.records
         ids, last = np.arange(self._count), self._last
         # The stored time of a Gaussian is the time of its last change.
@@ -242,12 +220,10 @@ class _Sequence:
         return self._note(blob, len(changed), kind=1, **place)
 
     def _span(self) -> tuple[float, float]:
-        """Return the start and the end of the frame that is being written [s]."""
         start, end = self._times[len(self._index) :][:2]
         return start, end
 
     def _note(self, blob: bytes, count: int, **place: Any) -> Any:
-        """Write a frame's bytes, and return the frame's entry in the index."""
         start, end = self._span()
         entry = self._library.records.ChunkIndexEntry(
             t0=start,

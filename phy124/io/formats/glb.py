@@ -55,41 +55,30 @@ LONGEST = 1 << 20
 """Largest JSON description that is read [bytes]; descriptions usually have 4,000 bytes."""
 SRGB, LINEAR = "srgb_rec709_display", "lin_rec709_display"
 EVEN = 1e-3
-"""A node's scaling counts as uniform if the relative difference between its scales along the axes
-is at most this value.
-"""
+"""A node's scaling counts as uniform if its scales differ by at most this relative value."""
 EXTENSIONS = (EXTENSION, "KHR_mesh_quantization")
-"""glTF extensions that are supported."""
 MAX_NODES = 2000
 SCALE = f"{EXTENSION}:SCALE"
 OBJECT = "_OBJECT_ID"
-"""Attribute that only phy124 writes and reads: the object index."""
 LEAVES_THE_FRONT = ("splat-transform", "SuperSplat")
-"""Programs that rotate a PLY by 180 degrees about z when they write it as GLB, so that y points up.
-
-In the GLB files of these programs, the object faces -z, as in the PLY.
+"""Programs that rotate a PLY by 180 degrees about z when they write it as GLB; the object then
+faces -z, as in the PLY.
 """
 READ = {"POSITION", "COLOR_0", OBJECT}
 READ |= {f"{EXTENSION}:{name}" for name in ("ROTATION", "SCALE", "OPACITY")}
 READ |= {f"{EXTENSION}:SH_DEGREE_{degree}_COEF_{n}" for degree in range(4) for n in range(7)}
-"""Attributes of a GLB file that phy124 does not report to the user as ignored.
-
-The attribute COLOR_0 is not read, because it is meant for programs that do not support the
-extension KHR_gaussian_splatting.
-"""
+"""Attributes that are not reported as ignored; COLOR_0 is for programs without the extension."""
 
 
 class Primitive(NamedTuple):
     """A glTF primitive whose points are Gaussians."""
 
     attributes: dict[str, int]
-    """Index of the accessor of each of the primitive's attributes; the keys are their names."""
+    """Index of the accessor of each attribute."""
     extension: dict[str, Any]
-    """Properties of the extension KHR_gaussian_splatting in this primitive."""
     matrix: NDArray[np.float64]
     """World transform of the primitive's node [4,4]."""
     gaussians: int
-    """Number of Gaussians in the primitive."""
 
 
 def read(path: Path) -> Content:
@@ -162,10 +151,7 @@ def pack_head(text: bytes, length: int) -> bytes:
 
 
 def _attributes(gaussians: Gaussians) -> dict[str, NDArray]:
-    """Return the arrays that are stored in a GLB file, by attribute.
-
-    The size of each array is a multiple of 4 bytes.
-    """
+    """The size of each array is a multiple of 4 bytes."""
     rgba = np.concatenate([gaussians.rgb, gaussians.opacities[:, None]], axis=1)
     arrays = {
         "POSITION": gaussians.means,
@@ -182,7 +168,6 @@ def _attributes(gaussians: Gaussians) -> dict[str, NDArray]:
 
 
 def _names(count: int) -> list[str]:
-    """Return the attribute names of the first `count` harmonics, in the order of `Gaussians.sh`."""
     pairs = [(degree, n) for degree in range(4) for n in range(2 * degree + 1)]
     return [f"{EXTENSION}:SH_DEGREE_{degree}_COEF_{n}" for degree, n in pairs[:count]]
 
@@ -203,7 +188,6 @@ def _accessor(name: str, array: NDArray, view: int) -> dict[str, Any]:
 
 
 def _chunks(path: Path, data: bytes) -> Scene:
-    """Return the JSON description and the binary chunk of a GLB file."""
     if len(data) < HEADER.size or data[:4] != MAGIC:
         raise refusal(
             KIND, path, "it does not begin with the header of a GLB file.", "Give a GLB file."
@@ -237,7 +221,6 @@ def _chunks(path: Path, data: bytes) -> Scene:
 
 
 def _primitives(scene: Scene) -> list[Primitive]:
-    """Return all primitives of the scene whose points are Gaussians."""
     total, primitives = 0, []
     # this also detects cycles of nodes
     for mesh, matrix in list(_list_meshes(scene)):
@@ -258,7 +241,6 @@ def _primitives(scene: Scene) -> list[Primitive]:
 
 
 def _passed_over(scene: Scene, primitives: list[Primitive]) -> list[str]:
-    """Return notes about the attributes and extensions that are ignored."""
     names = dict.fromkeys(name for primitive in primitives for name in primitive.attributes)
     fourth = f"{EXTENSION}:SH_DEGREE_4"
     others = [name for name in names if name not in READ and not name.startswith(fourth)]
@@ -309,7 +291,6 @@ def _matrix(node: dict[str, Any]) -> NDArray[np.float64]:
 
 
 def _check_kind(scene: Scene, primitive: dict[str, Any], extension: dict[str, Any]) -> None:
-    """Refuse Gaussians that use an unsupported feature of KHR_gaussian_splatting."""
     if "indices" in primitive:
         limit = "its Gaussians are selected by indices, which is not supported."
         raise refusal(KIND, scene.path, limit, "Export the scene without indices.")
@@ -325,7 +306,6 @@ def _check_kind(scene: Scene, primitive: dict[str, Any], extension: dict[str, An
 
 
 def _values(scene: Scene, primitive: Primitive, name: str, width: int) -> NDArray[np.float32]:
-    """Return the values [N,width] of an attribute of a primitive."""
     if name not in primitive.attributes:
         raise refusal(KIND, scene.path, f"its Gaussians have no {name}.", "Export it again.")
     index = primitive.attributes[name]
@@ -336,7 +316,6 @@ def _values(scene: Scene, primitive: Primitive, name: str, width: int) -> NDArra
 
 
 def _columns(scene: Scene, primitive: Primitive, logs: bool) -> dict[str, NDArray[np.float32]]:
-    """Return the columns of a primitive by the field names of `Gaussians`."""
     of = partial(_values, scene, primitive)
     scales = of(SCALE, 3)
     with np.errstate(over="ignore"):
@@ -356,10 +335,7 @@ def _columns(scene: Scene, primitive: Primitive, logs: bool) -> dict[str, NDArra
 
 
 def _to_display_colours(sh: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Convert linear colours [N,K,3] to sRGB.
-
-    Higher degrees are multiplied by the derivative of the conversion at the colour of degree 0.
-    """
+    """Higher degrees are multiplied by the derivative of the conversion at degree 0."""
     linear = np.clip(0.5 + SH_C0 * sh[:, :1].astype(np.float64), 0, 1)
     bright = 1.055 * np.maximum(linear, 1e-9) ** (1 / 2.4) - 0.055
     slope = np.where(linear <= 0.0031308, 12.92, (bright + 0.055) / 2.4 / np.maximum(linear, 1e-9))
@@ -369,10 +345,7 @@ def _to_display_colours(sh: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def _apply_matrix(scene: Scene, raw: dict[str, Any], matrix: NDArray[np.float64]) -> dict[str, Any]:
-    """Transform the Gaussians of a node by the node's matrix.
-
-    The spacing of float32 numbers at the positions is added to the result as `step`.
-    """
+    """The result includes `step`, the spacing of float32 numbers at the positions."""
     step = step_of(raw["means"])
     if np.array_equal(matrix, np.eye(4)):
         return {**raw, "step": step}

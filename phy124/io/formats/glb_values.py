@@ -1,14 +1,11 @@
 """Reads the values of a GLB file, and decides whether its scales are logarithms.
 
-An accessor (glTF 2.0, section 3.6.2) reads numbers of one type from a view of the binary chunk. A
-sparse accessor replaces some of the numbers in a view. If an accessor has no view, all numbers are
-zero at first.
+Accessors are defined in glTF 2.0, section 3.6.2.
 
-Scales are lengths in the ratified KHR_gaussian_splatting, but logarithms in the draft of this
-extension. A file does not state its version. Negative scales must be logarithms. Some programs,
-which are named in the field `generator`, are known to write logarithms. If all scales are positive,
-the spacing of the Gaussians is examined. The width of an object's Gaussians is about the distance
-between them. If logarithms were mistaken for lengths, the Gaussians would be much narrower.
+Scales are lengths in the ratified KHR_gaussian_splatting, but logarithms in its draft, and a file
+does not state its version. Negative scales must be logarithms, and some programs are known to write
+logarithms. Otherwise, the spacing of the Gaussians decides: an object's Gaussians are about as wide
+as the distance between them, and logarithms mistaken for lengths would be much narrower.
 """
 
 import re
@@ -99,7 +96,6 @@ def _dtype(place: dict[str, Any]) -> np.dtype[Any]:
 def _read_view(
     scene: Scene, place: dict[str, Any], dtype: np.dtype[Any], count: int, width: int
 ) -> NDArray[Any]:
-    """Read numbers [count,width] from a view of the binary chunk."""
     view = item(scene, "bufferViews", place["bufferView"])
     if view.get("buffer", 0) != 0 or "uri" in scene.tree["buffers"][0]:
         raise Malformed("some of its values are in another file")
@@ -115,7 +111,6 @@ def _read_view(
 
 
 def _apply_sparse(scene: Scene, sparse: dict[str, Any], raw: NDArray[Any]) -> NDArray[Any]:
-    """Replace some of the numbers [N,width] with the values of a sparse accessor."""
     count, kind = int(sparse["count"]), _dtype(sparse["indices"])
     if kind.kind != "u":
         raise Malformed("the indices of a sparse accessor are not integers")
@@ -131,25 +126,20 @@ PLAYCANVAS = re.compile(r"splat-transform (\d+)\.(\d+)")
 LENGTHS_SINCE = (2, 7)
 """First version of splat-transform that wrote scales as lengths."""
 FEW = 0.01
-"""If more than this fraction of a file's scales is negative, the file stores scales as logarithms.
-
-Files of mirrored objects contain some negative scales, although the scales are lengths.
+"""If more than this fraction of a file's scales is negative, the scales are logarithms. Mirrored
+objects have a few negative lengths.
 """
 NEIGHBOURS = 4
 SOME = 2000
-"""Approximate number of Gaussians that are examined to decide whether scales are logarithms."""
 BARE = 0.55
 """If the ratio of the Gaussians' width to their spacing is below this value, the object is full of
 holes.
 """
 SHORT = 1.0
-"""A file with only positive scales can store logarithms only if the median of the scales is above
-this value.
-"""
+"""Scales that are all positive can be logarithms only if their median is above this value."""
 COVERING = (0.6, 6.0)
-"""Smallest and largest ratio of the Gaussians' width to their spacing if they cover an object.
-
-In example files, the ratio of the Gaussians' width to their spacing is 1.2 to 3.5.
+"""Smallest and largest ratio of width to spacing for Gaussians that cover an object; it is 1.2 to
+3.5 in example files.
 """
 NOTE = "Its scales are read as logarithms: {}."
 

@@ -1,11 +1,10 @@
 """Writes a clip as one small file: the first frame as SOG, and the motion of a coarse lattice.
 
-The lattice surrounds the object in the first frame. The displacement of a Gaussian is interpolated
-trilinearly from the eight nodes around it. In each frame, the displacements of the nodes are fitted
-to the displacements of the Gaussians by least squares. For each Gaussian whose error would exceed
-`TOLERANCE` times the object's size, the file stores an extra shift in each frame. The file states
-the remaining error of each Gaussian. Layout, little endian, with offsets from the start of the
-file:
+The displacement of a Gaussian is interpolated trilinearly from the eight nodes around it. The
+displacements of the nodes are fitted to those of the Gaussians by least squares. A Gaussian whose
+error would exceed `TOLERANCE` times the object's size gets an extra shift in each frame. The file
+states the remaining error of each Gaussian. Layout, little endian, with offsets from the start of
+the file:
 
     bytes          content
     0 to 7         "PHY4D" 0 1 0
@@ -53,29 +52,20 @@ MAGIC = b"PHY4D\0\1\0"
 TOLERANCE = 1e-3
 """Largest error of a Gaussian's centre, relative to the object's size."""
 NODES = (12, 17, 24, 34)
-"""Numbers of lattice nodes along the object's longest side that are tried; the smallest resulting
-file is kept.
-"""
+"""Numbers of nodes along the object's longest side that are tried; the smallest file is kept."""
 STIFF = 1e-4
-"""Weight of the term that makes neighbouring nodes move alike, when the lattice is fitted to the
-Gaussians' positions.
-
-Without this term in the fit, a lattice node with only few Gaussians nearby would be undetermined.
+"""Weight of the term that makes neighbouring nodes move alike; without it, nodes with few Gaussians
+nearby would be undetermined.
 """
 STEP = TOLERANCE / 8
 """Quantisation step of the displacements of lattice nodes, relative to the object's size."""
 LARGEST = 2**15 - 1
 TALLEST = 4.0
-"""Largest magnitude of the logarithms of the ratios between a Gaussian's scales now and at rest.
-
-Each ratio of scales is thus limited to the range from 1/55 to 55, because exp(4) = 55.
-"""
+"""Largest magnitude of the log ratios between a Gaussian's scales now and at rest; exp(4) = 55."""
 STRETCHES = 1 << 22
 """Largest number of samples from which the range of the material's stretch is determined."""
 PERCENTILES = (1, 99)
-"""Percentiles of the material's stretch that are shown with the first and last colour of the colour
-ramp; outliers are ignored.
-"""
+"""Percentiles of the material's stretch at the ends of the colour ramp; outliers are ignored."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +78,7 @@ class Lattice:
     indices: NDArray[np.int64]
     """Indices of the nodes in the complete lattice [M], in increasing order."""
     weights: Any
-    """Trilinear weights of the M lattice nodes for each of N Gaussians, a sparse matrix [N,M]."""
+    """Trilinear weights of M nodes for N Gaussians, a sparse matrix [N,M]."""
 
     @classmethod
     def around(cls, points: NDArray[np.float64], nodes: int) -> Lattice:
@@ -112,9 +102,8 @@ class Lattice:
         return cls(origin, spacing, shape, indices, matrix)
 
     def slopes(self, points: NDArray[np.float64]) -> list[Any]:
-        """Return the derivatives, along each axis, of the trilinear weights of the nodes [1/m].
-
-        They are evaluated at points [N,3], and returned as one sparse matrix [N,M] per axis.
+        """Return the derivatives of the weights along each axis at points [N,3], one sparse matrix
+        [N,M] per axis, 1/m.
         """
         at = (points - self.origin) / self.spacing
         fraction, slopes = (at - np.floor(at))[:, None], []
@@ -236,9 +225,8 @@ def measure_size(points: NDArray[np.float64]) -> float:
 def measure(clip: Clip) -> dict[str, Any]:
     """Measure, over all frames, the ranges of values that the player needs when it starts.
 
-    The ranges are the bounding box, the log ratios of scales (clipped to +-`TALLEST`), the largest
-    speed, and the ends of the colour ramp for the stretch. The colour ramp is symmetric about 1.
-    The stretch is the longest axis of a Gaussian divided by its longest axis at rest.
+    The stretch is the longest axis of a Gaussian divided by the longest axis at rest. The colour
+    ramp for the stretch is symmetric about 1.
     """
     rest = np.maximum(clip.scales[0], 1e-9)
     some = slice(None, None, 1 + len(clip) * len(rest) // STRETCHES)
@@ -315,16 +303,13 @@ def _centres(still: bytes) -> NDArray[np.float64]:
 
 @dataclass(frozen=True, eq=False)
 class _Motion:
-    """The motion of a clip: displacements of a lattice, and extra shifts of some Gaussians.
-
-    Only Gaussians whose error would be too large have extra shifts.
+    """Displacements of a lattice, and extra shifts of the Gaussians whose error would be too
+    large.
     """
 
     lattice: Lattice
     exceptions: NDArray[np.int64]
-    """Indices [E] of the Gaussians that the lattice moves inexactly, so that an extra shift is
-    stored for each of them.
-    """
+    """Indices [E] of the Gaussians with an extra shift."""
     frames: list[bytes]
     errors: NDArray[np.float64]
     """Largest error of each Gaussian's position over all frames [N], m."""
@@ -333,7 +318,6 @@ class _Motion:
 
     @property
     def size(self) -> int:
-        """Size of the stored motion [bytes]."""
         return sum(map(len, self.frames)) + 2 * len(self.lattice.indices)
 
     @classmethod
@@ -368,15 +352,11 @@ class _Motion:
 
 
 def _compared(count: int) -> set[int]:
-    """Return the frames of a clip in which the Gaussians' shapes are compared."""
     return {count // 2, count - 1}
 
 
 def _pack(about: dict[str, Any], parts: list[bytes]) -> list[bytes]:
-    """Return the header, the JSON and the sections of a file.
-
-    The JSON is padded with spaces, so that its length is known in advance.
-    """
+    """The JSON is padded with spaces, so that its length is known in advance."""
     start = 12 + len(json.dumps(about)) + 200 + 32 * len(parts)
     offsets = start + np.cumsum([0, *map(len, parts[:-1])])
     sections = [[int(at), len(part)] for at, part in zip(offsets, parts, strict=True)]

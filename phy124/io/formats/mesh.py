@@ -21,9 +21,7 @@ from phy124.gaussians import Gaussians, rotation_matrices
 from phy124.runtime.installation import install_command
 
 CELLS = 80
-"""Number of grid cells along the object's longest side."""
 LEVEL = 0.5
-"""Density at the surface."""
 BLUR = 0.3
 """Smallest standard deviation of a Gaussian, in units of cells; thinner Gaussians are widened."""
 REACH = 2.5
@@ -33,7 +31,6 @@ WIDEST = 12
 NEAREST = 4
 """Number of nearest Gaussians whose mean colour is the colour of a vertex."""
 BATCH = 4_000_000
-"""Largest number of density values that are computed at once."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,11 +112,10 @@ def sample_density(
 
 
 def _evaluate(inverse: NDArray, shift: NDArray, offsets: NDArray) -> NDArray[np.float32]:
-    """Return exp(-d^2 / 2) of each Gaussian at the K grid nodes around its centre [N,K].
+    """Return exp(-d^2 / 2) of each Gaussian at the K nodes around its centre [N,K].
 
-    The quadratic form d^2 of the inverse covariances [N,3,3] is computed as a product of two
-    matrices with ten columns. `shift` [N,3] are the centres and `offsets` [K,3] are the nodes. Both
-    are relative to the nearest node, in units of cells.
+    The centres `shift` [N,3] and the nodes `offsets` [K,3] are relative to the nearest node, in
+    units of cells.
     """
     pulled = np.einsum("nij,nj->ni", inverse, shift)
     i, j = np.triu_indices(3)
@@ -135,7 +131,6 @@ def _evaluate(inverse: NDArray, shift: NDArray, offsets: NDArray) -> NDArray[np.
 
 
 def _fill_cavities(density: NDArray[np.float32]) -> None:
-    """Fill cavities inside the surface: raise the density there above its value at the surface."""
     from scipy import ndimage
 
     labels: Any = ndimage.label(density <= LEVEL)
@@ -145,7 +140,6 @@ def _fill_cavities(density: NDArray[np.float32]) -> None:
 
 
 def _colours(gaussians: Gaussians, points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the mean colour of the Gaussians nearest to each point [V,3], 0..1."""
     from scipy.spatial import KDTree
 
     count = min(NEAREST, len(gaussians))

@@ -1,11 +1,10 @@
 """Writes a clip as one animated GLB: a mesh with one morph target per frame.
 
-The mesh is the surface of the first frame, or a textured mesh from the user, such as the file from
-which the object was made. Each vertex moves by the rigid motion that best fits the motion of the
-nearest Gaussians (Kabsch 1976). The weights of the morph targets change linearly from frame to
-frame, so that at most two targets are active. The axes are those of glTF (y up, z to the front,
-metres). The topology is constant. For objects that tear or flow, write a mesh of each frame instead
-(`phy124/io/formats/mesh.py`).
+The mesh is the surface of the first frame, or a textured mesh from the user. Each vertex moves by
+the rigid motion that best fits the motion of the nearest Gaussians (Kabsch 1976). The weights of
+the morph targets change linearly, so at most two targets are active. The axes are those of glTF (y
+up, z to the front, metres). The topology is constant. For objects that tear or flow, write a mesh
+of each frame instead (`phy124/io/formats/mesh.py`).
 """
 
 import json
@@ -31,7 +30,6 @@ CELLS = 56
 NEAREST = 12
 """Number of nearest Gaussians whose motion a vertex follows."""
 FLOAT, VERTICES = 5126, 34962
-"""Constants of glTF: type of a float number, and target of a buffer view."""
 TYPES = {1: "SCALAR", 3: "VEC3"}
 
 
@@ -93,8 +91,7 @@ def write_moved(
 def fit_to_clip(pieces: list[Any], clip: Clip, axes: tuple[str, str | None]) -> list[Any]:
     """Scale and shift meshes to match the object of a clip in its first frame, and return them.
 
-    The object was made from these meshes of the package trimesh, whose file has these `axes` (up
-    and front directions).
+    The meshes are of the package trimesh. `axes` are the up and front directions of their file.
     """
     turn = orientation(*axes)
     placed = [piece.copy() for piece in pieces]
@@ -148,14 +145,12 @@ def _name(index: int) -> str:
 
 
 def _split(data: bytes, buffer: BinaryIO) -> dict[str, Any]:
-    """Return the JSON of a GLB file, and write the buffer of the file to another file."""
     size = int.from_bytes(data[12:16], "little")
     buffer.write(data[28 + size :])
     return json.loads(data[20 : 20 + size])
 
 
 def _join(document: dict[str, Any], buffer: BinaryIO, file: BinaryIO) -> None:
-    """Write a GLB file from its JSON and its buffer."""
     length = _pad(buffer)
     document["buffers"] = [{"byteLength": length}]
     text = json.dumps(document, separators=(",", ":")).encode()
@@ -165,7 +160,6 @@ def _join(document: dict[str, Any], buffer: BinaryIO, file: BinaryIO) -> None:
 
 
 def _pad(buffer: BinaryIO) -> int:
-    """Append zeros until the length of a file is a multiple of 4; return the new length [bytes]."""
     buffer.write(b"\0" * (-buffer.tell() % 4))
     return buffer.tell()
 
@@ -173,7 +167,6 @@ def _pad(buffer: BinaryIO) -> int:
 def _append(
     document: dict[str, Any], buffer: BinaryIO, values: NDArray[np.floating], **more: Any
 ) -> int:
-    """Append float32 values [N] or [N,3] to the buffer; return the index of their accessor."""
     values = np.ascontiguousarray(values, np.float32)
     view = {"buffer": 0, "byteOffset": _pad(buffer), "byteLength": values.nbytes, **more}
     document["bufferViews"].append(view)
@@ -191,7 +184,6 @@ def _append(
 
 
 def _add_targets(mesh: dict[str, Any], targets: list[dict[str, int]]) -> None:
-    """Add a morph target for each frame except for the first frame."""
     if targets:
         mesh["weights"] = [0.0] * len(targets)
         for primitive in mesh["primitives"]:
@@ -199,10 +191,7 @@ def _add_targets(mesh: dict[str, Any], targets: list[dict[str, int]]) -> None:
 
 
 def _animate(document: dict[str, Any], buffer: BinaryIO, times: NDArray[np.float64]) -> None:
-    """Add an animation; in frame k, only morph target k - 1 has weight 1.
-
-    All other targets have weight 0.
-    """
+    """In frame k, only morph target k - 1 has weight 1."""
     if len(times) < 2:
         return
     at = _append(document, buffer, times)

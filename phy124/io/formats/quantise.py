@@ -1,8 +1,8 @@
 """Quantises numbers to 256 codes, vectors to a palette, and quaternions to three components.
 
-The largest of the four components of a unit quaternion is not stored. Since q and -q are the same
-rotation, this component can be made positive. This component then follows from the unit length. The
-magnitude of each of the other three components is at most 1 / sqrt 2.
+The largest component of a unit quaternion is not stored: its sign can be made positive, because q
+and -q are the same rotation, and its magnitude follows from the unit length. The other components
+are at most 1 / sqrt 2 in magnitude.
 """
 
 import numpy as np
@@ -19,9 +19,8 @@ COMPONENTS = 8
 def make_codebook(values: NDArray) -> NDArray[np.float64]:
     """Return 256 ascending codes that minimise the mean square distance to `values [N]`.
 
-    The method is Lloyd's algorithm in one dimension. Since the values are sorted, the sum over each
-    cell is a difference of two cumulative sums. Half of the initial codes are quantiles, to
-    represent dense regions. The other half of the codes are evenly spaced, to represent outliers.
+    The method is Lloyd's algorithm in one dimension. Half of the initial codes are quantiles, for
+    dense regions; the other half are evenly spaced, for outliers.
     """
     ordered = np.sort(np.asarray(values, np.float64))
     sums = np.concatenate([[0], np.cumsum(ordered)])
@@ -44,10 +43,9 @@ def nearest_codes(codes: NDArray, values: NDArray) -> NDArray[np.uint8]:
 def make_palette(vectors: NDArray, most: int) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
     """Return a palette that approximates `vectors [N,D]`, and the palette index of each vector.
 
-    The palette has at most `most` entries; `most` is a power of 2. If there are no more vectors
-    than this, the palette consists of the vectors themselves. If there are more, they are divided
-    into cells. Each cell is split at the median of its principal component with the largest
-    variance, until there are `most` cells. The palette then consists of the means of the cells.
+    The palette has at most `most` entries, a power of 2. If there are more vectors, they are
+    divided into `most` cells, whose means form the palette. Each cell is split at the median of its
+    principal component with the largest variance.
     """
     count = len(vectors)
     if count <= most:
@@ -64,17 +62,12 @@ def make_palette(vectors: NDArray, most: int) -> tuple[NDArray[np.float32], NDAr
 
 
 def _principal(vectors: NDArray) -> NDArray[np.float32]:
-    """Return the coordinates [N,C] of vectors along their `COMPONENTS` main principal axes."""
     centred = vectors - vectors.mean(axis=0)
     _, axes = np.linalg.eigh(centred.T @ centred)
     return np.ascontiguousarray(centred @ axes[:, -COMPONENTS:], np.float32)
 
 
 def _sort_halves(vectors: NDArray, cell: NDArray[np.int64], cells: int) -> NDArray[np.int64]:
-    """Return the order that sorts vectors by group and, within each group, by one coordinate.
-
-    This coordinate is the cell's principal component with the largest variance.
-    """
     sizes = np.bincount(cell, minlength=cells)[:, None]
     order = np.argsort(cell, kind="stable")
     starts = np.concatenate([[0], np.cumsum(sizes[:, 0])[:-1]])
@@ -85,15 +78,14 @@ def _sort_halves(vectors: NDArray, cell: NDArray[np.int64], cells: int) -> NDArr
 
 
 OTHERS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
-"""For each index of a quaternion's component that is not stored, the indices of the three stored
-components.
-"""
+"""Indices of the three stored components, for each index of the component that is not stored."""
 
 
 def drop_largest(quats: NDArray) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return each quaternion's three components that are smallest in magnitude [N,3].
+    """Return the three smallest components of each quaternion [N,3], and the index of the fourth
+    [N].
 
-    Also return the index of the fourth component [N], which is made positive.
+    Signs are changed so that the fourth component is positive.
     """
     quats = np.asarray(quats, np.float64)
     which = np.abs(quats).argmax(axis=1)

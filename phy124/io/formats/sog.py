@@ -58,13 +58,11 @@ WIDEST = 16383
 """Largest width or height of a WebP image [pixels]."""
 ENTRIES_PER_ROW = 64
 MOST_ENTRIES = 1 << 16
-"""Largest number of entries in the palette of spherical harmonics."""
 COEFFICIENTS = (0, 3, 8, 15, 24)
 """Number of coefficients above degree 0, if the highest degree is 0, 1, 2, 3 or 4."""
 TAG = 252
 OBJECT = "object_id"
 PACKED = (OSError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error, struct.error)
-"""Exceptions that the zip reader raises for damaged archives."""
 
 
 def read(path: Path) -> Content:
@@ -161,7 +159,6 @@ def _zip(meta: dict[str, Any], pictures: dict[str, NDArray[np.uint8]]) -> bytes:
 
 
 def _member(path: Path, archive: zipfile.ZipFile, name: str, most: int) -> bytes:
-    """Read a file of the archive; refuse a file with more than `most` bytes."""
     known = {info.filename.rpartition("/")[2]: info for info in archive.infolist()}
     if name == META and name not in known:
         limit = "it is a zip archive, but not a SOG file: it has no meta.json."
@@ -176,7 +173,6 @@ def _member(path: Path, archive: zipfile.ZipFile, name: str, most: int) -> bytes
 
 
 def _picture(path: Path, archive: zipfile.ZipFile, name: str, most: int) -> NDArray[np.uint8]:
-    """Read a WebP image [H,W,4]; refuse an image with more than `most` pixels."""
     data = _member(path, archive, str(name), 4 * most + 4096)
     width, height = _size(data)
     if width * height > most:
@@ -189,7 +185,6 @@ def _picture(path: Path, archive: zipfile.ZipFile, name: str, most: int) -> NDAr
 
 
 def _size(data: bytes) -> tuple[int, int]:
-    """Read the width and height of a WebP image from its header."""
     kind = data[12:16]
     if data[:4] != b"RIFF" or data[8:12] != b"WEBP" or len(data) < 30:
         raise Malformed("a picture is not a WebP file")
@@ -203,7 +198,6 @@ def _size(data: bytes) -> tuple[int, int]:
 
 
 def _codes(entry: dict[str, Any]) -> NDArray[np.float32]:
-    """Return the 256 values that a codebook contains."""
     codes = np.array(entry["codebook"], np.float64)
     if codes.shape != (256,):
         raise Malformed("a codebook does not have 256 values")
@@ -231,7 +225,6 @@ def _rotations(pixels: NDArray[np.uint8]) -> NDArray[np.float32]:
 def _harmonics(
     path: Path, archive: zipfile.ZipFile, entry: dict[str, Any], pixels: Any
 ) -> NDArray[np.float32]:
-    """Return the spherical-harmonic coefficients above degree 0 [N,K-1,3]."""
     count, each = int(entry["count"]), COEFFICIENTS[int(entry["bands"])]
     if not 0 < count <= MOST_ENTRIES or not each:
         raise Malformed("its palette of harmonics is empty or too large")
@@ -248,7 +241,6 @@ def _harmonics(
 
 
 def _objects(meta: dict[str, Any], pixels: Any) -> dict[str, NDArray[np.int32]]:
-    """Return the object index of each Gaussian, or None if `extras` has no entry of phy124."""
     extras = meta.get("extras")
     ours = extras.get("phy124") if isinstance(extras, dict) else None
     if ours is None:

@@ -21,7 +21,6 @@ ROW = np.dtype(
     [("centre", "<f4", 3), ("scale", "<f4", 3), ("colour", "u1", 4), ("rotation", "u1", 4)]
 )
 LOOKED_AT = 1000
-"""Number of rows that are examined to decide whether a file is a `.splat` file."""
 
 
 def read(path: Path) -> Content:
@@ -78,7 +77,6 @@ def likely(path: Path) -> bool:
 
 
 def _sound_share(rows: NDArray) -> float:
-    """Return the fraction of rows with a finite centre, no negative scale and a unit quaternion."""
     with np.errstate(invalid="ignore", over="ignore"):
         unit = np.abs(np.linalg.norm(_quats(rows), axis=1) - 1) < 0.1
         sound = np.isfinite(rows["centre"]).all(axis=1) & (rows["scale"] >= 0).all(axis=1)

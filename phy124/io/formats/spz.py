@@ -19,9 +19,8 @@
 
 In versions 1 to 3, the file is compressed with gzip. In version 4, each section is a separate
 Zstandard stream. Extensions follow the sections, or precede the table in version 4. The axes are x
-right, y up, z towards the viewer, unless an extension states other axes. Scales are quantised with
-a relative increment of 6.5 %. As in Niantic's program, harmonics are written with 5 bits for degree
-1, and with 4 bits for higher degrees.
+right, y up, z towards the viewer, unless an extension states other axes. As in Niantic's program,
+harmonics are written with 5 bits for degree 1, and with 4 bits for higher degrees.
 """
 
 import struct
@@ -52,9 +51,7 @@ SYSTEMS = (
     *(x + y + z for z in "BF" for y in "DU" for x in "LR"),
     *(x + y + z for y in "FB" for z in "DU" for x in "LR"),
 )
-"""Names of the coordinate systems with the numbers 1 to 16. The letters of a coordinate system's
-name are the directions of x, y and z.
-"""
+"""Coordinate systems number 1 to 16; the letters are the directions of x, y and z."""
 USUAL = "RUB"
 """The coordinate system of a file that does not state one."""
 DIRECTIONS = {"R": (1, 0, 0), "U": (0, 1, 0), "B": (0, 0, 1)}
@@ -63,7 +60,7 @@ MOST_NAMED = 8
 
 
 class Extensions(NamedTuple):
-    """The extensions of a file that are supported, and notes about other extensions."""
+    """The supported extensions of a file, and notes about other extensions."""
 
     system: str = USUAL
     """Directions of x, y and z, as letters: right, left, up, down, back or front."""
@@ -81,10 +78,7 @@ class Extensions(NamedTuple):
 
 
 def read_extensions(data: bytes) -> Extensions:
-    """Read the extensions of an SPZ file, which are stored one after the other.
-
-    If a record is damaged, it is ignored and a note says so.
-    """
+    """Read the extensions of an SPZ file; a note reports a damaged record, which is ignored."""
     system, notes, unknown, at = None, [], [], 0
     while at < len(data):
         kind, size = RECORD.unpack_from(data, at) if at + RECORD.size <= len(data) else (0, 1 << 32)
@@ -111,10 +105,6 @@ def read_extensions(data: bytes) -> Extensions:
 
 
 def _axis(system: str, letters: str) -> str:
-    """Return the signed axis, such as -y, that points in the direction of the first letter.
-
-    For example, `UD` returns the axis that points up.
-    """
     (at,) = (i for i, letter in enumerate(system) if letter in letters)
     return "xyz"[at] if system[at] == letters[0] else f"-{'xyz'[at]}"
 
@@ -123,7 +113,6 @@ KIND = "SPZ"
 MAGIC = b"NGSP"
 GZIP = b"\x1f\x8b"
 FOURTH = struct.pack("<I", 4)
-"""Bytes that follow the signature in an SPZ file of version 4."""
 HEADER = struct.Struct("<4sIIBBBB")
 MORE = struct.Struct("<I12x")
 ENTRY = struct.Struct("<QQ")
@@ -157,7 +146,7 @@ class Head(NamedTuple):
 
     @property
     def sizes(self) -> list[int]:
-        """Sizes of the file's sections that are not empty, such as centres and colours [bytes]."""
+        """Sizes of the sections that are not empty [bytes]."""
         centre, rotation = 6 if self.version < 2 else 9, 3 if self.version < 3 else 4
         harmonics = 3 * ((self.degree + 1) ** 2 - 1)
         rows = (centre, 1, 3, 3, rotation, harmonics)
@@ -220,7 +209,6 @@ def begins(data: bytes) -> bool:
 
 
 def _mirror(raw: dict[str, NDArray[np.float32]]) -> None:
-    """Mirror columns along x, which converts a left-handed system to a right-handed system."""
     raw["means"] *= np.array([-1, 1, 1], np.float32)
     # Mirroring along x reverses rotations about y and z.
     raw["quats"] *= np.array([1, 1, -1, -1], np.float32)
@@ -228,7 +216,6 @@ def _mirror(raw: dict[str, NDArray[np.float32]]) -> None:
 
 
 def _whole(path: Path, data: bytes) -> tuple[Head, NDArray[np.uint8], bytes]:
-    """Return the header, sections and extensions of an SPZ file of version 1, 2 or 3."""
     if data[:4] == MAGIC:
         # Browsers unpack a file if the server declares it as compressed by gzip.
         data = _gzip(data, level=0)
@@ -248,7 +235,6 @@ def _whole(path: Path, data: bytes) -> tuple[Head, NDArray[np.uint8], bytes]:
 
 
 def _streams(path: Path, data: bytes) -> tuple[Head, NDArray[np.uint8], bytes]:
-    """Return the header, sections and extensions of an SPZ file of version 4."""
     head = _head(path, data[: HEADER.size], len(data), versions=(4,))
     if len(data) < HEADER.size + MORE.size:
         raise _short(path)
@@ -273,7 +259,6 @@ def _streams(path: Path, data: bytes) -> tuple[Head, NDArray[np.uint8], bytes]:
 
 
 def _unpack(path: Path, stream: bytes, wanted: int) -> bytes:
-    """Decompress a Zstandard stream; refuse a stream whose size is not as stated in the table."""
     try:
         announced = zstandard.frame_content_size(stream)
         if announced in (-1, wanted):
@@ -308,14 +293,12 @@ def _short(path: Path) -> Exception:
 
 
 def _places(head: Head, data: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Decode the Gaussians' centres [N,3] of an SPZ file."""
     if head.version < 2:
         return np.ascontiguousarray(data).view("<f2").astype(np.float32)
     return _read_24_bits(data) / np.float32(2**head.bits)
 
 
 def _read_24_bits(data: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Decode 24-bit integers, low byte first: [N,9] -> [N,3]."""
     wide = np.zeros((len(data), 3, 4), np.uint8)
     wide[..., 1:] = data.reshape(-1, 3, 3)
     return (wide.view("<i4")[..., 0] >> 8).astype(np.float32)
@@ -338,7 +321,6 @@ def _from_four(data: NDArray[np.uint8]) -> NDArray[np.float32]:
 
 
 def _pack(gaussians: Gaussians, version: int, *, antialiased: bool) -> tuple[Head, list[bytes]]:
-    """Return the header and the uncompressed sections of an SPZ file."""
     bits = _bits(gaussians.means)
     steps = np.rint(gaussians.means.astype(np.float64) * 2**bits).clip(-REACH, REACH)
     centres = steps.astype("<i4").view(np.uint8).reshape(-1, 3, 4)[..., :3]
@@ -376,7 +358,6 @@ def _to_four(quats: NDArray) -> NDArray[np.uint8]:
 
 
 def _harmonics(rest: NDArray) -> NDArray[np.uint8]:
-    """Return the bytes of the harmonics above degree 0, rounded to `HARMONIC_BITS`."""
     count = rest.shape[1]
     bits = np.repeat(HARMONIC_BITS, (3, 5, 7))[:count, None]
     step = (1 << (8 - bits)).astype(np.int16)

@@ -29,9 +29,7 @@ REACH = 3.0
 def write_usd(path: str | os.PathLike[str], clip: Clip, *, progress: Progress = silent) -> None:
     """Write a clip as .usdc (binary), .usda (text) or .usd; this needs the extra `usd`.
 
-    Positions, orientations and scales are stored for each frame. Spherical harmonics are also
-    stored for each frame if they rotate with the material. One time code is one frame. The file is
-    written atomically.
+    One time code is one frame. The file is written atomically.
 
     Raises:
         InputError: If usd-core is not installed or too old, the clip is empty, or the file cannot
@@ -71,10 +69,6 @@ def load_usd() -> Any:
 
 
 def _stage(pxr: Any, path: Path, clip: Clip) -> tuple[Any, Any]:
-    """Create a USD stage with all properties that do not change over time.
-
-    Return the stage and the prim of its Gaussians.
-    """
     stage = pxr.Usd.Stage.CreateNew(os.fspath(path))
     pxr.UsdGeom.SetStageUpAxis(stage, pxr.UsdGeom.Tokens.z)
     pxr.UsdGeom.SetStageMetersPerUnit(stage, 1.0)
@@ -93,9 +87,9 @@ def _stage(pxr: Any, path: Path, clip: Clip) -> tuple[Any, Any]:
 
 
 def save_at_times(stage: Any, index: int) -> None:
-    """Save the USD stage after every `SAVED` frames; this frees the memory of these frames.
+    """Save the USD stage after every `SAVED` frames, which frees their memory.
 
-    A text file is saved only once, after the last frame, because each save writes the whole file.
+    A text file is saved only after the last frame, because each save writes the whole file.
     """
     layer = stage.GetRootLayer()
     if index % SAVED == SAVED - 1 and not layer.realPath.endswith(".usda"):
@@ -111,7 +105,6 @@ def set_times(stage: Any, clip: Clip) -> None:
 
 
 def _sample(pxr: Any, splats: Any, gaussians: Gaussians, code: Any) -> None:
-    """Set positions, scales, orientations and the bounding box of the Gaussians at a time code."""
     vectors = pxr.Vt.Vec3fArray.FromNumpy
     # USD stores quaternions as (x, y, z, w) in memory.
     quats = np.ascontiguousarray(np.roll(gaussians.quats, -1, axis=1))
@@ -125,7 +118,6 @@ def _sample(pxr: Any, splats: Any, gaussians: Gaussians, code: Any) -> None:
 
 
 def _colour(pxr: Any, splats: Any, gaussians: Gaussians, code: Any) -> None:
-    """Set the spherical harmonics at a time code, or as constants."""
     flat = pxr.Vt.Vec3fArray.FromNumpy(gaussians.sh.reshape(-1, 3))
     attribute = splats.CreateRadianceSphericalHarmonicsCoefficientsAttr()
     attribute.Set(flat) if code is None else attribute.Set(flat, code)

@@ -1,9 +1,8 @@
 """Writes a clip as USDZ: the coloured surface of the first frame, and the motion of this surface.
 
-The USDZ is an archive that contains one .usdc file with a mesh. The points of the mesh are stored
-for each frame; one time code is one frame. The material of the mesh shows the colours of the
-vertices without further light. The axes are y up and z to the front, in metres, as AR viewers on
-phones expect. The topology is constant, as in `phy124/io/formats/moving_mesh.py`.
+The archive contains one .usdc file with a mesh; one time code is one frame. The material shows the
+colours of the vertices without further light. The axes are y up and z to the front, in metres, as
+AR viewers on phones expect. The topology is constant.
 """
 
 import os
