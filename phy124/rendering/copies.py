@@ -10,12 +10,10 @@ from numpy.typing import NDArray
 class HostCopies:
     """Copies the results of one picture to the host; `wait` returns the copies.
 
-    On a GPU, the host's memory is page-locked, so `start` does not wait for the device. The memory
-    is reused for the next picture.
+    On a GPU, the host's memory is page-locked, so `start` does not wait for the device.
     """
 
     def __init__(self, device: Any) -> None:
-        """Allocate no memory yet; memory is allocated when the first arrays are copied."""
         self._device = device
         self._memory: dict[str, wp.array] = {}
         self._started: dict[str, wp.array] = {}

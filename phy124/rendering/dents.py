@@ -5,9 +5,8 @@ dent would hardly be visible. Therefore, the colours are multiplied by the ratio
 are computed from the normals of the surface: the light now, and the light at rest. At rest, the
 picture does not change.
 
-The normals are computed from the positions of Gaussians: neighbours on the same side of the object
-are joined into patches, and planes are fitted to neighbouring patches. The light is computed on the
-patches and interpolated between them.
+Neighbours on the same side of the object are joined into patches, and planes are fitted to
+neighbouring patches. The light is computed on the patches.
 """
 
 from typing import Any
@@ -19,23 +18,18 @@ from numpy.typing import NDArray
 from phy124.rendering.matte import LAMP_LIGHT, SKY, SMOOTH, blur, locate, number
 
 PATCH, LARGEST = 0.7, 1 / 48
-"""Size of the surface patches on which light is computed: in cells of the simulation, and at most
-as a fraction of the solid's longest side. The limit by the solid's size is needed on coarse grids,
-where patches would otherwise be thicker than horns and ears.
+"""Size of the surface patches: in cells of the simulation, and at most as a fraction of the solid's
+longest side. On coarse grids, patches would otherwise be thicker than horns and ears.
 """
 SIDE = 0.7
-"""When patches near a Gaussian are chosen, a difference of this size between two unit normals
-counts as much as a distance of one patch.
-"""
+"""Difference between two unit normals that counts as much as a distance of one patch."""
 NEAR = 12
-"""Number of nearest patches to which the plane of a patch is fitted, and between which the light on
-a Gaussian is interpolated.
-"""
+"""Number of nearest patches that determine the plane of a patch, and the light on a Gaussian."""
 FLOOR = 0.5
 """Light of the sky on a surface that faces down, relative to a surface that faces up."""
 CONTRAST = 1.3
-"""Exponent that increases the contrast between light and shade. Light in pictures comes more from
-one direction than the light of lamp and sky together.
+"""Exponent that increases the contrast, because light in pictures comes more from one direction
+than the light of lamp and sky together.
 """
 RANGE = 0.7, 1.06
 """Smallest and largest factor by which light changes the colours."""
@@ -64,10 +58,7 @@ class Dents:
         self._rest = self._lit(x)
 
     def illuminate(self, rgb: NDArray, x: NDArray) -> NDArray[np.float32]:
-        """Return the Gaussians' colours [n,3] in the light on their present shape.
-
-        They are at the positions x [n,3], m, and `rgb` are their colours at rest.
-        """
+        """Return the colours [n,3] of Gaussians at x [n,3], m, whose colours at rest are `rgb`."""
         change = np.clip((self._lit(x) / self._rest) ** CONTRAST, *RANGE) - 1
         return np.minimum(rgb * (1 + self._shared @ change)[:, None], 1)
 
@@ -76,15 +67,13 @@ class Dents:
         return self._mean @ x
 
     def normals(self, x: NDArray) -> NDArray[np.float32]:
-        """Return the outward unit normals of the surface patches [m,3].
-
-        If a patch and its neighbours lie on a line, its normal is 0.
+        """Return the outward unit normals of the patches [m,3]; 0 if a patch and its neighbours are
+        on a line.
         """
         centres = self.centres(x)
         return _unit(np.cross(self._along @ centres, self._across @ centres)).astype(np.float32)
 
     def _lit(self, x: NDArray) -> NDArray[np.float32]:
-        """Return the light on each surface patch [m]."""
         normals = self.normals(x)
         sky = (1 + FLOOR + (1 - FLOOR) * normals[:, 2]) / 2
         facing = (1 + normals @ self._lamp) / 2
@@ -92,10 +81,7 @@ class Dents:
 
 
 def _outward(x: NDArray, cell: float) -> NDArray[np.float64]:
-    """Return the outward normals of a surface at its points x [n,3], m.
-
-    The normals point to where the density of the object, with its interior, decreases.
-    """
+    """The normals point to where the density of the object, with its interior, decreases."""
     _, place, size = locate(x, cell)
     flat = number(np.rint(place), size)
     filled = np.zeros(size, bool)
@@ -107,8 +93,6 @@ def _outward(x: NDArray, cell: float) -> NDArray[np.float64]:
 
 def _slopes(near: NDArray, features: NDArray, x: NDArray, outward: NDArray) -> tuple[Any, Any]:
     """Return two matrices that compute slopes along the surface from a value on each of m patches.
-
-    The slopes are measured along two directions on the surface.
 
     The two directions and the outward normal of a patch are perpendicular to each other. A slope is
     a least-squares fit to the nearest patches, whose indices are `near` [m,k].
@@ -133,9 +117,8 @@ def _slopes(near: NDArray, features: NDArray, x: NDArray, outward: NDArray) -> t
 
 
 def _shares(features: NDArray, centres: NDArray, near: NDArray) -> Any:
-    """Return a matrix that interpolates a value of each of m patches to each of n Gaussians.
-
-    `near` [n,k] are the indices of patches around each Gaussian.
+    """Return a matrix that interpolates values of m patches to n Gaussians; `near` [n,k] are
+    patches.
     """
     n, k = near.shape
     square = np.zeros((n, k), np.float32)
@@ -147,18 +130,16 @@ def _shares(features: NDArray, centres: NDArray, near: NDArray) -> Any:
 
 
 def _number(cells: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Number the distinct rows of an array [n,k]; return the number of each row [n]."""
     cells = cells - cells.min(axis=0)
     flat: Any = np.ravel_multi_index(tuple(cells.T), tuple(cells.max(axis=0) + 1))
     return np.unique(flat, return_inverse=True)[1].reshape(-1)
 
 
 def _rows(rows: NDArray, columns: NDArray, values: NDArray, shape: tuple[int, int]) -> Any:
-    """Return the sparse matrix, in single precision, that has these rows, columns and values."""
     return scipy.sparse.csr_matrix((values.astype(np.float32), (rows, columns)), shape)
 
 
 def _unit(vectors: NDArray) -> NDArray:
-    """Return vectors [n,3] scaled to length 1; vectors of length 0 remain zero."""
+    """Vectors of length 0 remain zero."""
     length = np.sqrt(np.einsum("ni,ni->n", vectors, vectors))[:, None]
     return vectors / np.maximum(length, 1e-12)

@@ -49,16 +49,12 @@ if TYPE_CHECKING:
 
 PathLike = str | os.PathLike[str]
 MOST_PIXELS = 1 << 23
-"""Largest number of pixels that are encoded at the same time. This number of pixels is about that
-of four full HD pictures.
-"""
+"""Largest number of pixels that are encoded at the same time, about four full HD pictures."""
 WAITING = 4
 """Largest number of pictures that wait in the queue of an encoder."""
 NEAR = 0.05
-"""A video's end fades into its start if the RMS distance between the positions in its first and
-last frame is at most this value.
-
-This RMS distance is measured in units of the object's size.
+"""A video's end fades into its start if the RMS distance between the positions in the first and in
+the last frame is at most this value [object sizes].
 """
 
 
@@ -71,9 +67,8 @@ def film(
 ) -> list[Path]:
     """Write the files of a view: every format and every output, from each side.
 
-    Each frame is drawn from all sides before the next frame is drawn. Every video has an encoder,
-    which receives each picture when it is drawn. An encoder keeps several pictures in memory, so
-    only some sides are drawn at the same time if pictures are large (`MOST_PIXELS`).
+    An encoder keeps several pictures in memory, so only some sides are drawn at the same time if
+    pictures are large (`MOST_PIXELS`).
 
     Args:
         clip: The clip.
@@ -132,10 +127,8 @@ def _encode_sides(
     images: Iterator[Picture],
     context: RunContext,
 ) -> dict[tuple[str, str], Path]:
-    """Encode pictures, ordered by frame and then by side, in all formats at the same time.
-
-    If an encoder fails, its exception is raised after the other videos are complete. `first` is the
-    index of `sides[0]` among all sides of the view.
+    """If an encoder fails, its exception is raised after the other videos are complete. Pictures
+    are ordered by frame, then by side; `first` is the index of `sides[0]` in the view.
     """
     watch, fps = context.watch, playback(clip.fps, view)
     before, total = first * len(loop.order), len(view.sides) * len(loop.order)
@@ -215,7 +208,6 @@ class Feed(Iterator[Picture]):
     """A queue of the pictures of one video; a thread encodes the pictures."""
 
     task: Future[Path]
-    """The thread of the encoder."""
 
     def __init__(self) -> None:
         self._queue: SimpleQueue[Picture | BaseException] = SimpleQueue()
@@ -249,7 +241,6 @@ def _images(
     shine: Shine | None,
     context: RunContext,
 ) -> Generator[Picture, None, None]:
-    """Render the pictures of all sides, frame by frame."""
     seen = list(zip(*(cameras(clip, view, side) for side in sides), strict=True))
     moving = shine is not None and shine.needs_velocities
     read = (clip.frame(k, velocities=moving) for k in loop.order)
@@ -330,9 +321,7 @@ ENCODERS: dict[str, Encoder] = {
     "gif": _encode("gif", write_animation),
     "png": _png,
 }
-"""Functions that write the pictures from one side in a format; they return the path of the file or
-folder.
-"""
+"""Functions that write the pictures from one side, and return the path of the file or folder."""
 PLAYED = {"mp4", "webm", "mov", "webp", "gif"}
 """Formats of videos and animations, which have a frame rate."""
 SMOOTH = 12.0
@@ -342,7 +331,7 @@ EXPORTS: dict[str, Callable[[Clip, View, Path, Progress], Path]] = {
     "ply": _ply,
     "html": _html,
 }
-"""Functions that write the whole clip in a format; they return the path of the file or folder."""
+"""Functions that write the whole clip, and return the path of the file or folder."""
 
 
 def playback(fps: float, view: View) -> float:

@@ -1,10 +1,9 @@
 """Draws broken material that crumbles, such as snow, as fragments with gaps in between.
 
-Cracks in snow are narrower than the cells of a simulation's grid. The simulated snow on both sides
-of a crack is therefore stretched, and would look like dough. To avoid this, the material is divided
-into fragments at rest. In each frame, an affine motion is fitted to each fragment, as in shape
-matching (Mueller et al. 2005). A fragment that would be stretched keeps its shape instead, so gaps
-open around it. Whole and packed material is drawn as it is.
+Cracks in snow are narrower than a cell of the grid, so the simulated snow around a crack is
+stretched and would look like dough. Therefore, the material is divided into fragments at rest, and
+an affine motion is fitted to each fragment in each frame, as in shape matching (Mueller et al.
+2005). A fragment that would be stretched keeps its shape, so gaps open around it.
 """
 
 from typing import Any
@@ -14,28 +13,22 @@ import scipy
 from numpy.typing import NDArray
 
 LUMP = 0.12
-"""Mean size of lumps, which are divided into fragments, relative to the longest side of the
-material at rest.
-"""
+"""Mean size of lumps, which are divided into fragments, relative to the longest side at rest."""
 SIZES = 0.11, 0.06, 0.04
-"""Mean sizes of fragments, relative to the longest side of the material at rest. All fragments of a
-lump have the same mean size."""
+"""Mean sizes of fragments, relative to the longest side at rest; each lump has one of these
+sizes.
+"""
 WHOLE, BROKEN = 1.06, 1.3
-"""Two stretches: up to the first, a fragment deforms with its material; above the second, it keeps
-its shape.
+"""A fragment deforms with its material up to the first stretch, and keeps its shape above the
+second.
 """
 SMALLEST = 0.7
-"""A fragment that was compressed before it broke is drawn at least at this fraction of its size at
-rest.
-"""
+"""Smallest size of a fragment that was compressed before it broke, relative to its size at rest."""
 NEWTON = 6
-"""Number of Newton steps in the computation of a rotation; enough if the stretches along the axes
-differ by a factor of 10.
-"""
+"""Number of Newton steps for a rotation; enough if stretches along the axes differ tenfold."""
 FLAT = 1e-3
-"""When the motion of a fragment is fitted, the motion of its lump has this weight, relative to the
-variance of the fragment's positions. The weight is needed because a small fragment has few
-Gaussians, which may lie in a plane.
+"""Weight of the lump's motion in the fit of a fragment, relative to the variance of the fragment's
+positions. The few Gaussians of a small fragment may lie in a plane.
 """
 
 
@@ -43,10 +36,7 @@ class Fragments:
     """The fragments of one material of a clip."""
 
     def __init__(self, which: NDArray[np.int64], x: NDArray) -> None:
-        """Divide a material at rest into fragments.
-
-        The Gaussians with the indices `which` [n] are at the positions x [n,3], m.
-        """
+        """Divide a material at rest, whose Gaussians `which` [n] are at x [n,3], m."""
         self.which = which
         lump, self._fragment = _divide(x, np.random.default_rng(0))
         self._lump = np.empty(self._fragment.max() + 1, np.int64)
@@ -138,10 +128,7 @@ def _polar(F: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.floa
 
 
 def _divide(x: NDArray, rng: np.random.Generator) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Divide points x [n,3] into lumps, and lumps into fragments; return the numbers of both.
-
-    The lumps, like the fragments, are numbered without gaps.
-    """
+    """Divide points x [n,3] into lumps, and lumps into fragments; number both without gaps."""
     longest = float(np.ptp(x, axis=0).max())
     lump = _nearest(x, LUMP * longest, rng)
     kind = rng.integers(len(SIZES), size=lump.max() + 1)[lump]
@@ -162,5 +149,4 @@ def _nearest(x: NDArray, size: float, rng: np.random.Generator) -> NDArray[np.in
 
 
 def _number(values: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Number the different values of an array without gaps; return the number of each value."""
     return np.unique(values, return_inverse=True)[1].reshape(-1)

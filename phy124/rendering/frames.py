@@ -22,10 +22,8 @@ from phy124.runtime.cores import cores
 SHADOWS = 4
 """Number of threads that compute shadows if a GPU draws the frames."""
 MOST_SPLATS = 1 << 24
-"""Largest number of splats that all threads together store. If there are only two threads, the
-number of splats is not limited.
-
-A splat takes about 100 bytes.
+"""Largest number of splats of all threads together, if there are more than two threads; a splat
+takes about 100 bytes.
 """
 LOOK_AHEAD = 4
 """Largest number of frames that each thread of `render_frames` renders in advance."""
@@ -47,8 +45,7 @@ def render_frames(
     """Yield images [H,W,3] uint8 of the frames, in order, until there is no frame or camera left.
 
     Without a background, the images are [H,W,4]: colours before blending, with the coverage as the
-    last channel. The threads render a few frames in advance. Closing the iterator stops the
-    threads.
+    last channel. Closing the iterator stops the threads.
 
     Args:
         frames: The frames to draw: a clip's `frames()`, or `itertools.repeat` of a still frame.
@@ -60,8 +57,7 @@ def render_frames(
             Several threads may call this function at the same time.
         stage: Function that returns the stage of a frame. The stage replaces the background.
         filter: Anti-aliasing filter, one of `FILTERS`.
-        threads: Number of frames that are rendered at the same time on a CPU, where each kernel
-            uses one core. If None, the number of cores.
+        threads: Number of frames rendered at the same time on a CPU. If None, the number of cores.
         progress: Function that is called as ("render", frames done, total frames, or 0 if unknown).
 
     Raises:
@@ -117,7 +113,6 @@ def render_frames(
 
 
 def _in_order(tasks: Iterator[Future], ahead: int) -> Iterator[Any]:
-    """Yield the results of tasks in order; start at most `ahead` later tasks in advance."""
     waiting = deque(itertools.islice(tasks, ahead))
     while waiting:
         result = waiting.popleft().result()

@@ -22,18 +22,16 @@ from phy124.scene.cameras import Poses
 STEP = 0.1
 """Recommended camera distances are multiples of this value, in units of the object's size."""
 LARGEST = 5.0
-"""Largest extent of a motion that a fixed camera shows, in units of the object's size. If a motion
-has a larger extent, the camera follows the object.
+"""Largest extent of a motion that a fixed camera shows [object sizes]; otherwise, the camera
+follows the object.
 """
 WINDOW = 0.3
-"""A moving camera shows, in each frame, all positions of the object up to this time before and
-after the frame [s].
+"""A moving camera shows all positions of the object up to this time before and after each frame
+[s].
 """
 NEARER = 1.1
-"""Smallest enlargement of the objects for which the camera moves in and out in a scene with several
-objects.
-
-The objects must be enlarged at least by this factor in most frames.
+"""With several objects, the camera moves in and out if it thus enlarges them by this factor in most
+frames.
 """
 MORE = 1.5
 """Largest factor by which the camera's distance may grow to show a whole container."""
@@ -55,13 +53,10 @@ def cameras(clip: Clip, view: View, side: str) -> list[Camera]:
 
 
 _placed: WeakKeyDictionary[Clip, dict[tuple[View, str], list[Camera]]] = WeakKeyDictionary()
-"""Cameras of each clip that is in use; the keys are a clip's views and sides. The cameras are kept
-in memory because a run's videos and its report need the same cameras.
-"""
+"""Cameras of each clip by view and side; a run's videos and its report need the same cameras."""
 
 
 def _place(clip: Clip, view: View, side: str) -> list[Camera]:
-    """Compute the camera of each frame of a clip."""
     camera, poses = view.camera(side), _poses(clip, view, side)
     if view.fits and not (camera is not None and camera.chosen):
         return _nearest(clip, view, poses)
@@ -82,10 +77,7 @@ def still_camera(clip: Clip, view: View, side: str) -> Camera:
 
 
 def _nearest(clip: Clip, view: View, poses: Poses) -> list[Camera]:
-    """Place cameras as near as the motion allows.
-
-    The cameras show a motion of at most `LARGEST` object sizes.
-    """
+    """The cameras show a motion of at most `LARGEST` object sizes."""
     low, high = _box(clip, view)
     size = float((high - low).max())
     sample, count = Sample.of(clip), len(clip)
@@ -115,7 +107,6 @@ def _nearest(clip: Clip, view: View, poses: Poses) -> list[Camera]:
 
 
 def _containers(clip: Clip, view: View) -> Iterator[NDArray]:
-    """Yield the corners [8,3] m of each container that is visible and does not move."""
     corners = Sample.of(clip).corners
     if view.stage != "studio" or corners is None:
         return
@@ -137,7 +128,6 @@ def _make_cameras(view: View, poses: Poses, radii: Values, targets: Values) -> l
 
 
 def _poses(clip: Clip, view: View, side: str) -> Poses:
-    """Return the pose of the camera around the object in each frame."""
     count, camera, azimuth = len(clip), view.camera(side), 0.0
     if not camera and side != "orbit":
         azimuth = VIEWS[side] if side in VIEWS else float(side.removeprefix("azimuth-"))
@@ -181,17 +171,13 @@ def departures(clip: Clip, view: View) -> list[Departure]:
 
 
 def describe_framing(clip: Clip, view: View) -> dict[str, Any]:
-    """Return which views the object leaves as `departures`, and `notes` for the user.
-
-    The notes also tell which camera paths are longer than the clip.
-    """
+    """Return which views the object leaves as `departures`, and `notes` for the user."""
     left = departures(clip, view)
     notes = [note for note in (_note_departures(clip, view, left), _note_cut(clip, view)) if note]
     return {"departures": [asdict(departure) for departure in left], "notes": notes}
 
 
 def _note_cut(clip: Clip, view: View) -> str | None:
-    """Return a note if a camera's path is longer than the clip."""
     last = float(clip.times[-1] - clip.times[0])
     late = [camera for camera in view.cameras if camera.end > last * (1 + 1e-9)]
     if not late:
@@ -222,7 +208,6 @@ def _note_departures(clip: Clip, view: View, left: list[Departure]) -> str | Non
 
 
 def _find_departure(clip: Clip, view: View, side: str) -> Departure | None:
-    """Return how the object leaves the picture of a side, or None if it stays in the picture."""
     sample, seen = Sample.of(clip), cameras(clip, view, side)
     points = sample.means[:, sample.moving]
     needed = _radii(points, seen)
@@ -240,10 +225,7 @@ def _find_departure(clip: Clip, view: View, side: str) -> Departure | None:
 
 
 def _radii(points: NDArray[np.floating], cameras: list[Camera]) -> Values:
-    """Return the smallest distances of the camera at which it shows each of S points in T frames.
-
-    The result is [T,S], m.
-    """
+    """Return the smallest camera distances [T,S], m, at which S points are visible in T frames."""
 
     def radius(points: NDArray[np.floating], camera: Camera) -> Values:
         across, down, ahead = ((points - camera.target) @ camera.view[:3, :3].T).T
@@ -254,10 +236,7 @@ def _radii(points: NDArray[np.floating], cameras: list[Camera]) -> Values:
 
 
 def _box(clip: Clip, view: View) -> tuple[NDArray, NDArray]:
-    """Return the corners of the box around the resting object.
-
-    If the object can fall, the box reaches the ground.
-    """
+    """If the object can fall, the box around the resting object reaches the ground."""
     corners = Sample.of(clip).corners
     if corners is None:
         limit = "all Gaussians of its first frame have NaN or infinite values."

@@ -1,15 +1,12 @@
 """Computes the shapes of a liquid's Gaussians: discs on the surface, balls where the liquid tears.
 
-Each Gaussian represents a volume of liquid. The fraction phi of space that the liquid fills is
-computed from these volumes and smoothed over `BLUR` cells. The liquid's surface is where phi =
-`LEVEL`. Gaussians near the surface move onto it and become discs. Gaussians deep inside are not
-drawn. Gaussians in thin spray become balls. Near flat walls, phi is the filled fraction of the
-space in front of the walls. Gaussians that are closer to a wall than to the free surface move onto
-the wall. The opacity of a disc follows from the thickness of the liquid behind the disc
-(Beer-Lambert). Each face of a layer has half of the layer's optical depth, divided by the number of
-overlapping discs. A thin film on a wall has only one face. Fast liquid in the air that is thinner
-than at rest becomes foam: its discs are white, and some of its Gaussians are small white balls. The
-steps for single Gaussians are kernels (`phy124.kernels.splat.fields` and `discs`).
+The fraction phi of space that the liquid fills is computed from the volumes of the Gaussians and
+smoothed over `BLUR` cells. The liquid's surface is where phi = `LEVEL`. Gaussians near the surface
+move onto it and become discs; Gaussians deep inside are not drawn; Gaussians in thin spray become
+balls. Near flat walls, phi is the filled fraction of the space in front of the walls. The opacity
+of a disc follows from the thickness of the liquid behind the disc (Beer-Lambert): each face of a
+layer has half of the layer's optical depth, divided by the number of overlapping discs. Fast liquid
+in the air that is thinner than at rest becomes white foam.
 """
 
 from typing import Any, NamedTuple
@@ -24,24 +21,17 @@ from phy124.kernels.splat import discs, fields
 from phy124.kernels.splat.discs import BLUR, LEVEL
 
 WHOLE = 0.945
-"""Standard deviation of the distribution to which smoothing spreads a liquid's point on the grid
-[cells]. The smoothing of a point combines the filter and the distribution of the point among the
-eight cells around it.
+"""Standard deviation of a point on the grid after smoothing by the filter and the eight cells
+[cells].
 """
 MOST = 4_000_000
-"""Largest number of cells. If a scattered liquid needs more cells than this, the cells are made
-larger.
-"""
+"""Largest number of cells; for a scattered liquid, the cells are made larger."""
 SAMPLE = 8192
 """Number of a liquid's points from which the extent of the grid is determined."""
 LITTLE = 0.02
-"""Averages over the space in front of walls are divided by the fraction of this space in the
-surroundings, but at least by this value.
-"""
+"""Smallest fraction of space in front of walls by which averages over this space are divided."""
 THICKER = 4.0
-"""Largest factor by which the volumes of Gaussians are increased in parts of a liquid that are thin
-at rest.
-"""
+"""Largest factor by which volumes are increased where the liquid is thin at rest."""
 CLEAR = 1e6
 """Optical depth of one grid cell of an opaque liquid."""
 
@@ -56,7 +46,6 @@ class Planes(NamedTuple):
 
 
 NOWHERE = Planes(np.zeros((0, 3)), np.zeros(0))
-"""The planes of a liquid that has no walls."""
 
 
 class Surface(NamedTuple):
@@ -73,9 +62,7 @@ class Surface(NamedTuple):
     rgb: NDArray
     """Colours without reflection [N,3]."""
     normals: NDArray
-    """Unit normals of discs, pointing outwards [N,3]. Gaussians that are drawn as balls have the
-    normal 0.
-    """
+    """Outward unit normals of discs [N,3]; 0 for balls."""
 
 
 WIDTHS = (3, 4, 3, 1, 3, 3)
@@ -86,9 +73,8 @@ class Field:
     """A grid on which values of a liquid's points are added up and smoothed."""
 
     def __init__(self, x: NDArray, cell: float, planes: Planes = NOWHERE) -> None:
-        """Place points [N,3] m on a grid with the spacing `cell` [m].
-
-        If there would be too many cells, the spacing is increased.
+        """Place points [N,3] m on a grid; the spacing `cell` [m] is increased if there would be too
+        many cells.
         """
         low, high = np.percentile(x[:: 1 + len(x) // SAMPLE], [0.1, 99.9], axis=0)
         spare = 4 * BLUR * cell
@@ -103,9 +89,8 @@ class Field:
         self.open, self._room = self._before(planes, corner)
 
     def _before(self, planes: Planes, corner: NDArray) -> tuple[NDArray | float, NDArray | float]:
-        """Return the fraction of each grid cell that is in front of all walls.
-
-        The fraction is returned twice: as it is, and after smoothing.
+        """Return the fraction of each cell that is in front of all walls, without and with
+        smoothing.
 
         `corner` is the centre of the first cell [3], m.
         """
@@ -134,15 +119,14 @@ class Field:
     def fill(self, volumes: NDArray) -> NDArray[np.float32]:
         """Return phi, the smoothed fraction of each cell that the liquid's points fill.
 
-        `volumes` [N] are the points' volumes [m^3]. Each point is distributed among 8 cells. The
-        fraction is limited to 1, because the points of a compressed liquid lie too close together.
+        `volumes` [N] are the points' volumes [m^3]. The fraction is limited to 1, because the
+        points of a compressed liquid lie too close together.
         """
         return self.smooth(np.minimum(self.add(volumes), 1))
 
     def add(self, volumes: NDArray) -> NDArray[np.float32]:
-        """Return the fraction of each cell that the liquid's points fill, before smoothing.
-
-        `volumes` [N] are the points' volumes [m^3].
+        """Return the fraction of each cell that points of `volumes` [N], m^3, fill, before
+        smoothing.
         """
         filled = np.zeros(self.size, np.float32)
         self.launch(fields.fill, len(self.x), [self.x, volumes], [filled])
@@ -168,10 +152,7 @@ class Field:
         return slopes
 
     def lengths(self, filled: NDArray) -> NDArray[np.float32]:
-        """Return the length of the liquid along each axis, measured through each cell [cells,3].
-
-        The unit of length is a cell.
-        """
+        """Return the length of the liquid along each axis through each cell [cells,3], in cells."""
         lengths = np.empty((filled.size, 3), np.float32)
         for axis, count in enumerate(self.size):
             self.launch(discs.measure_lengths, filled.size // count, [axis, filled], [lengths])
@@ -194,7 +175,6 @@ class Field:
 
 
 def _wrap(array: NDArray) -> wp.array:
-    """Convert a NumPy array for a kernel of `fields` or `discs`, without a copy if possible."""
     if array.dtype.kind == "i":
         return wp.array(array, dtype=wp.int32, device="cpu", copy=False)
     kinds: dict[int, Any] = {3: wp.vec3, 4: wp.vec4}
@@ -220,10 +200,9 @@ class Liquid:
         """Measure the liquid at rest, whose Gaussians have their centres at x [N,3], m.
 
         `cell` is the cell size of the simulation's grid [m]. The liquid dims light to 1/e over the
-        distance `visibility` [m]; None means that it is opaque. The liquid may touch flat walls.
-        Without volumes [N], m^3, equal volumes fill the liquid at rest. A `calm` liquid is so
-        viscous that its surface has no ripples, so the rows of its particles must not be visible in
-        its gloss.
+        distance `visibility` [m]; None means opaque. Without volumes [N], m^3, equal volumes fill
+        the liquid at rest. A `calm` liquid is so viscous that the rows of its particles must not be
+        visible in its gloss.
         """
         self._cell, self._visibility, field = cell, visibility, Field(x, cell, planes)
         self._calm = calm

@@ -1,11 +1,10 @@
 """Lights matte, tinted grains such as sand and snow by a lamp and a sky.
 
 A tinted substance has the same colour everywhere, so only light and shadow show its shape. The
-light and shadow of the picture belong to the object at rest and would move with the material.
-Therefore, the light is computed in each frame. The fraction phi of space that the grains fill is
-computed and smoothed. The normal of the surface is the direction in which phi decreases most. The
-lamp lights surfaces that face it. Hollows receive less light, because the material around them
-hides the sky (ambient occlusion).
+light of the picture belongs to the object at rest; therefore, light is computed in each frame. The
+normal of the surface is the direction in which phi, the smoothed fraction of space that the grains
+fill, decreases most. Hollows receive less light, because the material around them hides the sky
+(ambient occlusion).
 """
 
 import math
@@ -20,35 +19,26 @@ from numpy.typing import NDArray
 from phy124.gaussians import SH_C0
 
 SMOOTH = 1.4
-"""Standard deviation of the filter that smooths phi, the filled fraction, before normals are
-computed [cells].
-"""
+"""Standard deviation of the filter that smooths phi for normals [cells]."""
 WIDE = 3.0
-"""Standard deviation of the wider filter that smooths phi, the filled fraction, before occlusion is
-computed [cells].
-"""
+"""Standard deviation of the wider filter that smooths phi for occlusion [cells]."""
 SPARE = 6
 """Width of the empty margin of the grid around the grains [cells]."""
 TAILS = 2.5
 """Distance at which both smoothing filters are cut off [standard deviations]."""
 MOST = 2_000_000
-"""Largest number of cells. If scattered grains need more grid cells than this, the cells are made
-larger.
-"""
+"""Largest number of cells; for scattered grains, the cells are made larger."""
 SKY = np.array([0.56, 0.59, 0.65], np.float32)
 LAMP_LIGHT = np.array([0.50, 0.46, 0.37], np.float32)
-"""Light from the sky, and light from the lamp on surfaces that face the lamp: red, green and blue.
-"""
+"""Red, green and blue light from the sky, and from the lamp on surfaces that face the lamp."""
 CERTAIN = 0.03
-"""Gradient of phi, the filled fraction, per cell above which the surface's normal is certain. In
-sparse spray of grains, normals are less certain, and the light is closer to `EVEN`.
+"""Gradient of phi per cell above which the normal is certain; in sparse spray, light is closer to
+`EVEN`.
 """
 EVEN = 0.8
 """Light of the lamp on grains with an uncertain normal, relative to grains that face the lamp."""
 HOLLOW, DEEP = 0.48, 0.72
-"""Values of the filled fraction phi after the wide filter: on a flat surface, and in a hollow that
-is fully shaded.
-"""
+"""Phi after the wide filter: on a flat surface, and in a fully shaded hollow."""
 DARKEST = 0.6
 """Light in a fully shaded hollow, relative to the light on a flat surface."""
 
@@ -57,7 +47,6 @@ class Matte:
     """The light on the grains of one material of a clip."""
 
     def __init__(self, which: NDArray[np.int64], volumes: NDArray, cell: float) -> None:
-        """Set the grains' indices [n] and volumes [n], m^3, and the cell size of the grid [m]."""
         self.which, self._volumes, self._cell = which, volumes, cell
 
     def light(self, x: NDArray, lamp: NDArray) -> NDArray[np.float32]:
@@ -124,11 +113,9 @@ def illuminate(sh: NDArray, light: NDArray) -> NDArray:
 def locate(x: NDArray, cell: float) -> tuple[float, NDArray[np.float64], tuple[int, int, int]]:
     """Place points x [n,3] on a grid.
 
-    Return the grid's cell size [m], the points' coordinates in cells [3,n], and the grid's number
-    of cells per axis.
-
-    The centres of cells have integer coordinates. Points far away from all others are placed near
-    the boundary. The outermost cells are empty.
+    Return the grid's cell size [m], the points' coordinates in cells [3,n], and the number of cells
+    per axis. The centres of cells have integer coordinates. Points far away from all others are
+    placed near the boundary. The outermost cells are empty.
     """
     low, high = np.percentile(x[:: 1 + len(x) // 8192], [0.1, 99.9], axis=0)
     cell = max(cell, float(np.prod(high - low + 2 * SPARE * cell) / MOST) ** (1 / 3))

@@ -2,11 +2,9 @@
 
 A point is in the picture if it lies between four planes through the camera. The planes are moved
 until they touch the outermost Gaussians. The two vertical planes then intersect in one line, and
-the two horizontal planes in another line. The more distant of the two lines determines the camera's
-distance. The target is computed from both lines. From this distance, an object that is much longer
-along the view than across, such as a sword, would look distorted and blurred. For such objects, the
-camera is farther away and has a narrower field of view, so that the object has the same size in the
-picture.
+the two horizontal planes in another; the more distant line determines the camera's distance.
+Objects that are much longer along the view than across, such as a sword, would look distorted and
+blurred, so the camera is farther away and has a narrower field of view.
 """
 
 from __future__ import annotations
@@ -27,43 +25,31 @@ from phy124.kernels.splat.discs import MOVES, WIDEST
 Values = NDArray[np.float64]
 
 SAMPLE = 8192
-"""Largest number of Gaussians in the sample that represents the object.
-
-The sampled Gaussians have evenly spaced indices.
-"""
+"""Largest number of sampled Gaussians, which have evenly spaced indices."""
 MOST_VALUES = 1 << 20
 """Largest product of sampled Gaussians and frames. In longer clips, fewer Gaussians are sampled."""
 FEWEST = 128
-"""Smallest number of Gaussians in the sample."""
 BLOCK = 64
-"""Number of frames that are processed at a time."""
 VISIBLE = 0.1
-"""Smallest opacity of a Gaussian of the object; fainter Gaussians are ignored."""
+"""Smallest opacity of a sampled Gaussian."""
 OUTSIDE = 0.01
 """Fraction of the object that may be outside the picture without a warning."""
 LEFT_OUT = 1.5e-4
-"""Fraction of the sampled Gaussians that may lie outside each edge of the picture.
-
-Single drops of a liquid therefore do not influence the camera.
-"""
+"""Fraction of the sampled Gaussians, such as single drops, that may lie outside each edge."""
 DEPTHS = 1.5
 """Smallest distance of the camera from a motion, in units of the motion's depth along the view."""
 CLOSE = 0.98
-"""A search for a zoom ends if the camera's distance is at least this fraction of the smallest
-allowed distance.
-"""
+"""A search for a zoom ends at this fraction of the smallest allowed camera distance."""
 TRIES = 8
-"""Largest number of trials in a search for a zoom."""
 ZOOM = 40.0
 """Largest factor by which the field of view is narrowed."""
 ROOM = 1.08
-"""Width of the picture divided by the width of the whole motion in the picture; the same holds for
+"""Width of the picture divided by the width of the whole motion in it; the same holds for
 heights.
 """
 MOST = 0.8
-"""Fraction of the frames from which the usual extent of a motion is determined.
-
-The remaining frames count as rare moments of the motion.
+"""Fraction of the frames that determine the usual extent of a motion; the others are rare
+moments.
 """
 RARE = 1.5
 """The camera follows the object if rare moments enlarge a motion's extent by this factor."""
@@ -74,15 +60,12 @@ class Sample:
     """Visible Gaussians that represent a clip's object (the sample)."""
 
     means: NDArray[np.floating]
-    """Centres [T,S,3], m. If a Gaussian's position in a frame is not finite, its position in the
-    first frame is used.
-    """
+    """Centres [T,S,3], m; the first frame's position replaces a position that is not finite."""
     covariances: Array
     """Covariance matrices [T,S,3,3], m^2."""
     corners: tuple[NDArray, NDArray] | None = None
-    """Lowest and highest corner of the object's bounding box in the first frame [3], [3], m.
-
-    The box is None if no Gaussian has a finite centre.
+    """Lowest and highest corner [3] of the object in the first frame, m; None if no centre is
+    finite.
     """
 
     @classmethod
@@ -116,7 +99,7 @@ class Sample:
 
     @cached_property
     def moving(self) -> NDArray[np.bool_]:
-        """Mask of the moving Gaussians [S]; if no Gaussian moves, all are in the mask."""
+        """Mask of the moving Gaussians [S]; all Gaussians if none moves."""
         moves: NDArray[np.bool_] = (self.means != self.means[0]).any(axis=(0, 2))
         return moves if moves.any() else ~moves
 
@@ -157,9 +140,8 @@ class Sample:
         return far and whole > RARE * _extent(*self._boxes(self.follow().means))
 
     def _boxes(self, means: NDArray[np.floating]) -> tuple[Values, Values]:
-        """Return the lowest and the highest corner of the object in each frame [T,3], [T,3].
-
-        The few outermost Gaussians are ignored.
+        """Return the corners of the object in each frame [T,3], without the few outermost
+        Gaussians.
         """
         ends = [OUTSIDE / 2, 1 - OUTSIDE / 2]
         parts = (means[part].astype(np.float64) for part in _blocks(len(means)))
@@ -168,13 +150,11 @@ class Sample:
 
 
 _samples: WeakKeyDictionary[Clip, Sample] = WeakKeyDictionary()
-"""Samples of the clips in use; the cameras of all sides of a view use the same sample."""
 
 
 def _reach_of_discs(clip: Clip) -> Values:
-    """Return how far the discs on a liquid's surface extend beyond its Gaussians [N], m.
-
-    The value is 0 for Gaussians that are not part of a liquid.
+    """Return how far discs on a liquid's surface extend beyond its Gaussians [N], m; 0
+    elsewhere.
     """
     reach = np.zeros(len(clip.opacities))
     cell = float(clip.report.get("grid", {}).get("dx", 0.0))
@@ -192,7 +172,7 @@ class Standing:
     shift: Values
     """Displacement of the points at which the cameras look [3], m."""
     zoom: float
-    """Factor by which the cameras' field of view is narrowed so that they can be farther away."""
+    """Factor by which the field of view is narrowed so that the cameras can be farther away."""
 
 
 def place_nearest(sample: Sample, cameras: list[Camera], *, zooms: bool = True) -> Standing:
@@ -225,9 +205,8 @@ def place_along(
 ) -> tuple[Values, Values]:
     """Place cameras that move in and out smoothly and show the object in every frame.
 
-    The camera positions from which a point is in the picture form a convex set. If all points of a
-    frame are in view from several camera positions, they are therefore also in view from the mean
-    of these positions.
+    The positions from which a camera sees a point form a convex set, so the mean of several
+    positions that show all points shows all points, too.
 
     Args:
         sample: The object in motion.
@@ -257,12 +236,8 @@ def place_along(
 
 @dataclass(frozen=True)
 class _Seen:
-    """A sample of Gaussians in the coordinate axes of the cameras."""
-
     points: NDArray[np.floating]
-    """Positions of the sampled Gaussians relative to each camera's target: to the right, downwards
-    and ahead [T,3,S], m.
-    """
+    """Positions relative to each camera's target: to the right, downwards and ahead [T,3,S], m."""
     reach: NDArray[np.floating]
     """Standard deviations of the Gaussians to the right and downwards [T,2,S], m."""
     axes: Values
@@ -285,9 +260,8 @@ class _Seen:
 
     @property
     def depth(self) -> float:
-        """Extent of the motion along the view direction [m].
-
-        If the cameras turn, this is the largest extent in any frame.
+        """Extent of the motion along the view [m]; if the cameras turn, the largest extent in any
+        frame.
         """
         ahead = np.quantile(self.points[:, 2], [OUTSIDE / 2, 1 - OUTSIDE / 2], axis=1)
         if self.turning:
@@ -296,14 +270,10 @@ class _Seen:
 
     @property
     def turning(self) -> bool:
-        """Whether the cameras turn during the clip."""
         return not np.allclose(self.axes, self.axes[0])
 
     def standing(self, halves: Values, zoom: float) -> Standing:
-        """Return the camera positions nearest to the object at a given zoom.
-
-        `halves` [2] is defined as in `Camera.halves`.
-        """
+        """`halves` [2] is defined as in `Camera.halves`."""
         halves = halves / zoom
         edges = self._edges(halves).max(axis=0)
         if not self.turning:
@@ -319,17 +289,15 @@ class _Seen:
         return Standing(float(edges.max()), np.zeros(3), zoom)
 
     def _between(self, edges: Values, halves: Values) -> tuple[Values, Values]:
-        """Return distances [...] m and shifts [...,3] m of cameras with the same view direction.
-
-        The cameras show the space between the edges [...,2,2] m.
+        """Return distances [...] m and shifts [...,3] m of cameras that show the space between
+        edges [...,2,2] m.
         """
         shift = halves * (edges[..., 0] - edges[..., 1]) / 2
         return edges.sum(axis=-1).max(axis=-1) / 2, shift @ self.axes[0, :2]
 
     def _edges(self, halves: Values) -> Values:
-        """Return the distances from which a camera sees the sample inside each picture edge.
-
-        The result is [T,2,2], m. The edges are ordered as right and left, bottom and top.
+        """Return the distances [T,2,2], m, from which the sample is inside the right and left,
+        bottom and top edges.
         """
         few, needed = int(LEFT_OUT * self.points.shape[2]), []
         for part in _blocks(len(self.points)):
@@ -342,10 +310,8 @@ class _Seen:
 
 
 def _blocks(count: int) -> list[slice]:
-    """Return slices that divide a number of frames into blocks."""
     return [slice(start, start + BLOCK) for start in range(0, count, BLOCK)]
 
 
 def _extent(low: Values, high: Values) -> float:
-    """Return the longest side of the box that contains the boxes of all frames [T,3], m."""
     return float((high.max(axis=0) - low.min(axis=0)).max())

@@ -11,7 +11,6 @@ from phy124.particles.thinning import thin
 from phy124.rendering.render import BLACK, WHITE, Renderer
 
 ENOUGH = 30_000
-"""Number of Gaussians that suffices for pictures of the orientations."""
 UPS = ("-y", "y", "z", "-z", "x", "-x")
 """The six possible up axes, with the most common axis first."""
 TURNS = ("x", "y", "z", "-x", "-y", "-z")

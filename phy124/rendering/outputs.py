@@ -33,9 +33,8 @@ from phy124.scene.view import Output
 
 Values = NDArray[np.float64]
 FARTHEST_FLOW = 4
-"""Largest optical flow that is written, in units of the picture's size.
-
-Only a Gaussian that moves through the camera would have a larger optical flow.
+"""Largest optical flow that is written [picture sizes]; only Gaussians that move through the camera
+exceed it.
 """
 
 SHARP = 0.3
@@ -152,7 +151,6 @@ class Seen:
     """Computes the values of the outputs for the Gaussians and pixels of each frame of a clip."""
 
     def __init__(self, clip: Clip, cameras: Sequence[Camera], outputs: Sequence[Output]) -> None:
-        """Set the clip, a camera for each frame, and the names of the outputs to compute."""
         self.clip, self.cameras, self.outputs = clip, cameras, outputs
 
     def values(self, frame: Frame) -> dict[Output, Values]:
@@ -206,7 +204,6 @@ class Seen:
         }
 
     def _force(self, frame: Frame) -> Array:
-        """Distribute the forces on the Gaussians of a frame over the pixels [H,W,3], N."""
         assert frame.contacts is not None  # checked by `refuse_unkept`
         cell = self.clip.report.get("grid", {}).get("dx", 0.0)
         camera = self.cameras[frame.index]
@@ -261,10 +258,7 @@ def _draw_means(
 
 
 def normals(gaussians: Gaussians, camera: Camera) -> Values:
-    """Return the shortest axis of each Gaussian, directed towards the camera.
-
-    The axes are unit vectors [N,3] in the world's axes.
-    """
+    """Return each Gaussian's shortest axis as a unit vector [N,3], directed towards the camera."""
     axes = rotation_matrices(gaussians.quats)
     shortest = axes[np.arange(len(gaussians)), :, gaussians.scales.argmin(axis=1)]
     towards = np.asarray(camera.eye) - gaussians.means
@@ -334,7 +328,6 @@ def _write(
 
 
 def _row(clip: Clip, index: int, camera: Camera, files: Mapping[Output, str]) -> dict[str, Any]:
-    """Describe the outputs of a frame: time, camera, files, and the forces of the walls."""
     total: dict[str, Any] = {}
     if "force" in files and clip.contacts is not None:
         total["force"] = clip.contacts[index].astype(np.float64).sum(axis=0).tolist()
@@ -356,7 +349,6 @@ def _row(clip: Clip, index: int, camera: Camera, files: Mapping[Output, str]) ->
 def _description(
     view: View, side: str, steps: Mapping[Output, float], rows: list[dict[str, Any]]
 ) -> dict[str, Any]:
-    """Describe all files of the outputs: units, channels, scales and cameras."""
     outputs: dict[str, Any] = {}
     for name in view.outputs:
         unit, channels, signed, meaning = QUANTITIES[name]

@@ -13,18 +13,17 @@ from phy124.kernels.splat import screen
 Filter = tuple[float, bool]
 
 FILTERS = {"dilate": (0.3, False), "mip": (0.1, True)}
-"""Anti-aliasing filters.
+"""Anti-aliasing filters: what is added to the screen covariance [px^2], and whether opacities are
+reduced to compensate.
 
-The first value of each filter is added to the screen covariance of every Gaussian [px^2]. The
-second value of each filter states whether it reduces opacities to compensate for the larger
-covariance. 3D Gaussian Splatting does not reduce opacities, so thin objects look too thick from far
-away. Mip-Splatting reduces opacities (Yu et al. 2024, section 4.2).
+3D Gaussian Splatting does not reduce opacities, so thin objects look too thick from far away.
+Mip-Splatting reduces opacities (Yu et al. 2024, section 4.2).
 """
 NEAR = 0.01
 """Smallest distance between the camera and the centre of a Gaussian that is drawn, m."""
 FRUSTUM_MARGIN = 1.3
-"""The projection is linearised at the Gaussian's centre. For Gaussians outside this multiple of
-half the image, the projection is linearised at the multiple instead (Kerbl et al. 2023).
+"""The projection is linearised at a Gaussian's centre, or at this multiple of half the image if the
+centre is farther outside (Kerbl et al. 2023).
 """
 MAX_PIXELS = 1 << 26
 """Number of pixels of the largest image (8192 x 8192)."""

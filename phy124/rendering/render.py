@@ -31,18 +31,16 @@ Colour = tuple[float, float, float]
 WHITE: Colour = (1.0, 1.0, 1.0)
 BLACK: Colour = (0.0, 0.0, 0.0)
 MAX_PAIRS = 1 << 24
-"""Largest total length of the lists of splats that all tiles have. Groups of tiles are blended one
-after the other if all lists together would be longer.
+"""Largest total length of the tiles' lists of splats; longer lists are blended in groups of
+tiles.
 """
 TILES_PER_SPLAT = 4
 """Expected number of tiles per splat, for which memory is allocated before the first picture."""
 BLENDS = {"simd": blend.blend_tiles_simd, "plain": blend.blend_tiles, "pixel": blend.blend_pixels}
-"""Kernels that blend splats to pixels, by the name of the variant. In the variant `simd`, a thread
-draws one tile in vectorised C++ (CPU only). In the variant `plain`, a thread draws one tile in
-Warp. In the variant `pixel`, a thread draws one pixel (used on CUDA).
+"""Blending kernels. A thread draws one tile in vectorised C++ (`simd`, CPU only), one tile in Warp
+(`plain`), or one pixel (`pixel`, used on CUDA).
 """
 BLEND_STAGED = stage.blend_staged_simd
-"""The kernel of the variant `simd` for pictures with a lighting stage around the object."""
 
 
 class Renderer:
@@ -86,13 +84,9 @@ class Renderer:
         compile_missing((self._projection[1], binned, self._blend), str(self.device))
         self._around = Surroundings(self.device, simd=simd)
         self._room = 0
-        """Number of entries of the tiles' lists for which memory is allocated, if a GPU counts
-        these entries.
-        """
+        """Number of entries of the tiles' lists for which memory is allocated, on a GPU."""
         self._free: list[HostCopies] = []
-        """Buffers in host memory to which later pictures can be copied, because no caller waits for
-        them.
-        """
+        """Buffers in host memory for which no caller waits."""
         self._seen: tuple[Camera, Any] | None = None
         self._buffers: dict[str, wp.array] = {}
         self._constants: dict[str, tuple[Any, Array, wp.array]] = {}
@@ -162,10 +156,8 @@ class Renderer:
     ) -> Callable[[], NDArray[np.uint8]]:
         """Start to render one image as bytes; return a function that waits for the image.
 
-        The image equals the result of `picture`.
-
-        A GPU draws while the caller prepares the next picture. The returned function must be called
-        exactly once.
+        The image equals the result of `picture`. A GPU draws while the caller prepares the next
+        picture. The returned function must be called exactly once.
 
         Args:
             gaussians: The Gaussians to draw.
@@ -199,8 +191,7 @@ class Renderer:
         """Start to render an image; return a function that waits for the named arrays.
 
         The arrays are the colours `image` [H*W,3], the `coverage` [H*W] and, in the variant
-        `pixel`, the `bytes` [H*W*3]. If threads of a CPU draw tiles, the arrays alias the
-        renderer's buffers.
+        `pixel`, the `bytes` [H*W*3]. If a CPU draws tiles, the arrays alias the renderer's buffers.
         """
         view, pixels = self._look(camera), camera.width * camera.height
         colour = wp.vec3(*_checked_background(BLACK if stage else background))
@@ -270,7 +261,6 @@ class Renderer:
             around.draw(image, coverage)
 
     def _lists(self, n: int, view: Any) -> Iterator[tuple[int, int, tuple[Any, Any, Any]]]:
-        """Yield groups of tiles (the first and the last tile), with the splats of these tiles."""
         if self._per_pixel:
             self._room = self._room or min(TILES_PER_SPLAT * n, MAX_PAIRS)
             if self._room <= MAX_PAIRS:
@@ -287,16 +277,12 @@ class Renderer:
         return view, self._counts(view)
 
     def _look(self, camera: Camera) -> Any:
-        """Return the camera, with the renderer's filter, as a `screen.View`."""
         if self._seen is None or self._seen[0] is not camera:
             self._seen = camera, make_view(camera, self._filter)
         return self._seen[1]
 
     def _project(self, gaussians: Gaussians, view: Any) -> None:
-        """Project Gaussians to splats, sort the splats by depth, and mark the tiles they cover.
-
-        The results are the buffers `splats`, `order` and the marks that `_counts` sums.
-        """
+        """The results are the buffers `splats`, `order` and the marks that `_counts` sums."""
         n = len(gaussians)
         splats, tiles = self._buffer("splats", n, screen.Splat), self._buffer("tiles", n, wp.vec4i)
         # Sorting needs buffers of twice the size of the arrays.
@@ -327,9 +313,7 @@ class Renderer:
             self._count_on_device(corners.reshape(shape), view)
 
     def _count_on_device(self, corners: wp.array, view: Any) -> None:
-        """Compute numbers of splats: in all tiles before each tile, in each tile, and in total.
-
-        The projection marks the four corners of each splat's rectangle of tiles. Cumulative sums
+        """The projection marks the four corners of each splat's rectangle of tiles. Cumulative sums
         along both axes turn these marks into numbers of splats.
         """
         tiles = view.rows * view.columns
@@ -351,9 +335,8 @@ class Renderer:
         return corners.cumsum(0, np.int64).cumsum(1)[:-1, :-1].ravel()
 
     def _bin_on_device(self, n: int, view: Any) -> tuple[Any, Any, Any]:
-        """Return the splats of all tiles like `_bin`, but never copy their number to the host.
-
-        The lists are empty if there are more than `_room` entries.
+        """The number of splats is never copied to the host. The lists are empty if there are more
+        than `_room` entries.
         """
         tiles, room = view.rows * view.columns, self._room
         before: Any = self._buffers["before"]
@@ -368,7 +351,6 @@ class Renderer:
     def _bin(
         self, n: int, view: Any, counts: NDArray[np.int64], first: int, last: int
     ) -> tuple[Any, Any, Any]:
-        """Return the splats of tiles `first` to `last`, with the start and end of each tile's."""
         bounds = np.zeros(len(counts) + 1, np.int32)
         bounds[first + 1 : last + 1] = counts[first:last].cumsum()
         total = int(bounds[last])
@@ -386,7 +368,6 @@ class Renderer:
     def _sort_lists(
         self, n: int, view: Any, run: tuple[int, int], room: int, total: Any, starts: Any, ends: Any
     ) -> wp.array:
-        """Return the splats of a range of tiles, sorted by tile and depth (see `bin_parallel`)."""
         first, last = run
         ranks = self._buffer("ranks", 2 * room, wp.int32)
         lists = self._buffer("lists", 2 * room, wp.int32)
@@ -409,15 +390,13 @@ class Renderer:
         return buffer
 
     def _fill(self, name: str, values: NDArray[np.int32]) -> Any:
-        """Copy values into the buffer with this name; return the filled part of the buffer."""
         buffer = self._buffer(name, len(values), wp.int32)[: len(values)]
         buffer.assign(values)
         return buffer
 
     def _upload(self, array: NDArray, dtype: Any, name: str | None = None) -> wp.array:
-        """Wrap a NumPy array as a Warp array: shared on a CPU, copied to a GPU.
-
-        The copy uses the buffer of this name, or new memory without a name.
+        """Share an array on a CPU; copy it to a GPU, into the buffer of this name or into new
+        memory.
         """
         if name is None or not self.device.is_cuda:
             return wp.array(array, dtype=dtype, device=self.device, copy=False)

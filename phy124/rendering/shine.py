@@ -1,11 +1,10 @@
 """Adds highlights and reflections to fluids and metal, computed from their surface normals.
 
 The colours of Gaussians contain no gloss. For each frame and camera, the highlight of a lamp above
-(Blinn 1977) and reflections of a bright sky and a dark floor are added to the colours of glossy
-materials. Water reflects little light, but more at grazing angles (Schlick 1994). Water is bright
-where it refracts the lamp's light towards the camera. Metal reflects almost all light, tinted with
-the colour of the metal. Only the surface of a liquid is drawn (`phy124.rendering.liquid`). The
-normals of metal are the shortest axes of its Gaussians.
+(Blinn 1977) and reflections of a bright sky and a dark floor are added. Water reflects more at
+grazing angles (Schlick 1994), and is bright where it refracts the lamp's light towards the camera.
+Metal reflects almost all light, tinted with the colour of the metal. The normals of metal are the
+shortest axes of its Gaussians.
 """
 
 import time
@@ -38,7 +37,6 @@ LAMP = np.array([0.434, -0.338, 0.835], np.float32)
 FOAMS = 0.1
 """Largest viscosity of a liquid with foam [Pa s]."""
 REFRACTION = 1.33
-"""Refractive index of liquids."""
 
 
 class Gloss(NamedTuple):
@@ -51,9 +49,7 @@ class Gloss(NamedTuple):
     tint: float
     """Fraction of the reflected light that is tinted with the material's colour."""
     highlight: float
-    """Strength of the lamp's highlight."""
     sharpness: float
-    """Exponent of the highlight."""
     floor: float
     """Brightness of the reflected floor, relative to the reflected sky."""
     glow: float
@@ -64,7 +60,7 @@ GLOSSES = {
     "fluid": Gloss(0.03, 0.75, 0.0, 1.0, 40.0, 0.1, 0.7),
     "metal": Gloss(0.75, 0.85, 0.85, 0.7, 30.0, 0.12, 0.0),
 }
-"""Reflection properties of the constitutive laws that are glossy, by the name of the law."""
+"""Reflection properties by the name of the constitutive law."""
 
 
 class Shine:
@@ -97,12 +93,9 @@ class Shine:
             if len(which := _indices(runs))
         ]
         self.seconds = 0.0
-        """Time that all threads together have spent on highlights and reflections since the start
-        [s].
-        """
+        """Time that all threads together have spent on highlights and reflections [s]."""
 
     def _liquid(self, clip: Clip, which: NDArray, liquid: dict[str, Any]) -> Liquid:
-        """Measure a liquid in the first frame; `which` are the indices of its Gaussians."""
         volumes = liquid.get("volumes")  # clips of earlier versions lack this entry
         if volumes is not None:
             volumes = np.repeat(volumes, [last - first for first, last in liquid["runs"]])
@@ -175,7 +168,6 @@ class Shine:
         return replace(clip, means=means, quats=quats, scales=scales), {**gloss, "hues": hues}
 
     def _surface(self, frame: Frame) -> tuple[Gaussians, dict[str, NDArray]]:
-        """Return the Gaussians to draw, and the surface normals [n,3] for each glossy law."""
         if (known := self._surfaces.get(frame.index)) is not None:
             return known
         gaussians, normals = frame.gaussians, {}
@@ -204,12 +196,10 @@ class Shine:
         return gaussians, normals
 
     def _speeds(self, frame: Frame, which: NDArray | slice) -> NDArray | None:
-        """Return the speeds of some Gaussians [n], m/s; None if the clip has a single frame."""
         v = self._velocity(frame.index) if frame.velocities is None else frame.velocities
         return None if v is None else np.nan_to_num(_length(v[which])[:, 0])
 
     def _break_up(self, gaussians: Gaussians) -> Gaussians:
-        """Return the Gaussians, with broken material divided into fragments."""
         if self._fragments:
             means = gaussians.means.copy()
             for part in self._fragments:
@@ -219,7 +209,6 @@ class Shine:
         return gaussians
 
     def _light(self, gaussians: Gaussians) -> Gaussians:
-        """Return the Gaussians with lamp and sky light on grains and on dented solids."""
         if self._matte or self._dents:
             sh = gaussians.sh.copy()
             for part in self._matte:
@@ -235,10 +224,7 @@ class Shine:
         return gaussians
 
     def _keep(self, index: int, surface: tuple[Gaussians, dict[str, NDArray]]) -> None:
-        """Store a frame's liquid surface for further views.
-
-        If all surfaces together exceed `KEPT` bytes, the oldest surfaces are removed.
-        """
+        """If all surfaces together exceed `KEPT` bytes, the oldest surfaces are removed."""
         with self._adding:
             self._surfaces[index] = surface
             while len(self._surfaces) * 8 * surface[0].sh.nbytes > KEPT:
@@ -254,8 +240,7 @@ def make_shine(clip: Clip, view: View) -> Shine | None:
 def add_gloss(clip: Clip, view: View) -> tuple[Clip, dict[str, Any] | None]:
     """Return the clip with its liquids shaped for rendering, and its gloss, for the player.
 
-    The gloss is the data about highlights and reflections. If nothing is glossy, the clip is
-    unchanged and the gloss is None.
+    If nothing is glossy, the clip is unchanged and the gloss is None.
     """
     shine = make_shine(clip, view)
     return (clip, None) if shine is None else shine.pack(clip)
@@ -320,7 +305,6 @@ def _length(a: NDArray) -> NDArray:
 
 
 def _planes(clip: Clip) -> list[Planes]:
-    """Return the flat walls of a clip's scene in each frame."""
     rest = _finite(np.asarray(clip.means[0][clip.object_mask], np.float64))
     walls = [
         wall
@@ -335,7 +319,7 @@ def _planes(clip: Clip) -> list[Planes]:
 
 
 def _foams(liquid: dict[str, Any]) -> bool:
-    """Return whether a liquid of a report has foam; False for a report without viscosities."""
+    """A report without viscosities has no foam."""
     return liquid.get("viscosity", np.inf) <= FOAMS
 
 

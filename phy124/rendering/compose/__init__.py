@@ -1,8 +1,7 @@
 """Renders the moving object inside the photograph from which the object was made.
 
 The camera is assumed to be in front of the object. The camera's elevation, zoom and shift are
-matched to the photograph. The object is removed from the photograph by inpainting. The moving
-object and its shadow are then drawn over the inpainted photograph.
+matched to the photograph. The object in the photograph is replaced by inpainting.
 """
 
 from __future__ import annotations

@@ -17,18 +17,16 @@ from phy124.rendering.compose.photograph import Photograph, likeness
 from phy124.rendering.render import BLACK, MAX_PAIRS, Renderer, runs
 
 ROUNDS = 12
-"""Number of iterations of the colour correction."""
 SIZES = (1.0, 0.8)
-"""Sizes of splats that are tried, relative to their original sizes.
-
-Generators let splats overlap too much, so smaller sizes may be better.
+"""Sizes of splats that are tried, relative to the original sizes; generators let splats overlap too
+much.
 """
 AROUND = 9
-"""Side of the square of the photograph's pixels around a Gaussian whose range of colours limits the
-Gaussian's colour [px].
+"""Side of the square of pixels around a Gaussian whose range of colours limits the Gaussian's
+colour [px].
 """
 BEHIND = 0.03
-"""Gaussians count as visible up to this distance behind the front surface, relative to the object's
+"""Visible Gaussians are at most this far behind the front surface, relative to the object's
 depth.
 """
 
@@ -83,9 +81,7 @@ def _fit_colours(
     photograph: Photograph,
     each: Callable[[], object],
 ) -> Gaussians:
-    """Fit colours by least squares, within the range of nearby colours of the photograph.
-
-    The matrix W maps the colours of Gaussians to pixels, and r is the residual. Each step adds
+    """The matrix W maps the colours of Gaussians to pixels, and r is the residual. Each step adds
     `(W^T r) / (W^T 1)` to the colours (SIRT), with Nesterov's momentum.
     """
     photo, inside = photograph.rgb / np.float32(255), photograph.alpha[..., None] > 0.9
@@ -105,7 +101,6 @@ def _fit_colours(
 
 
 def _recolour(gaussians: Gaussians, seen: NDArray[np.bool_], colours: NDArray) -> Gaussians:
-    """Set the colours of the visible Gaussians, as spherical harmonics of degree 0."""
     sh = gaussians.sh.copy()
     sh[seen, 0] = colours
     return replace(gaussians, sh=sh)
@@ -114,7 +109,6 @@ def _recolour(gaussians: Gaussians, seen: NDArray[np.bool_], colours: NDArray) -
 def _seen(
     renderer: Renderer, gaussians: Gaussians, camera: Camera, photograph: Photograph
 ) -> NDArray[np.bool_]:
-    """Return the mask [N] of the Gaussians that the camera sees."""
     pixels, depths = camera.project(gaussians.means.astype(float))
     depths = (depths - depths.min()) / max(float(np.ptp(depths)), 1e-9)
     g, grey = gaussians, np.repeat(depths[:, None], 3, axis=1)

@@ -22,37 +22,30 @@ from phy124.rendering.render import BLACK, Renderer
 CUTOUT = "cutout.png"
 """Name of the file in a run's folder whose alpha shows the object's position in the photograph."""
 LARGEST = 1024
-"""Largest side of a photograph [pixels]. A photograph whose larger side exceeds this size is
-reduced.
-"""
+"""Longest side of a photograph [pixels]; larger photographs are reduced."""
 MARGIN = 0.015
-"""Width of the border around the object that is inpainted together with the object, relative to the
-photograph's longest side.
+"""Width of the border that is inpainted with the object, relative to the photograph's longest
+side.
 """
 HOLE = 320
-"""Longest side of the picture in which holes are inpainted [pixels]. A larger picture takes longer
-and gives no better result."""
+"""Longest side of the picture in which holes are inpainted [pixels]; a larger picture takes longer
+and gives no better result.
+"""
 DISTANCES = (2.0, 1.6, 3.0)
-"""Distances of the camera that are tried, in units of the object's size in the photograph.
-
-Relief and LGM assume the first two distances; the third distance is typical of a longer lens.
+"""Camera distances that are tried, in units of the object's size in the photograph: those of relief
+and LGM, and one that is typical of a longer lens.
 """
 ELEVATIONS = tuple(range(0, 65, 5))
-"""Elevations of the camera that are tried [degrees]."""
 SMALL = 128
 """Longest side of the picture in which the elevations are compared [pixels]."""
 CLEARER = 1.0
-"""A raised camera is assumed only if its picture matches the photograph better than the front
-camera's picture, by at least this difference of PSNR [dB].
-"""
+"""A raised camera is assumed only if it improves the PSNR by at least this difference [dB]."""
 RIM = 0.008
-"""Width of the border around the object that is compared together with the object, relative to the
-photograph's longest side.
+"""Width of the border that is compared with the object, relative to the photograph's longest
+side.
 """
 ROUNDS = (False, False, False, True, True)
-"""For each round of the camera's correction: whether only the object and a thin border around it
-are compared with the photograph.
-"""
+"""For each round: whether only the object and a thin border are compared with the photograph."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,10 +153,7 @@ def likeness(
 
 
 def _elevation(renderer: Renderer, gaussians: Gaussians, photograph: Photograph) -> float:
-    """Return the elevation [degrees] at which the rendered object is most like the photograph.
-
-    `relief` turns some objects upright although they were photographed from above.
-    """
+    """`relief` turns some objects upright although they were photographed from above."""
     small = photograph.reduce(SMALL)
     if not (small.alpha > 0.99).any():
         return 0.0
@@ -180,10 +170,7 @@ def _elevation(renderer: Renderer, gaussians: Gaussians, photograph: Photograph)
 def _first_camera(
     gaussians: Gaussians, photograph: Photograph, distance: float, elevation: float
 ) -> Camera:
-    """Return a camera that shows the object at its size and position in the photograph.
-
-    The camera is in front of the object, raised by an elevation [degrees].
-    """
+    """Return a camera in front of the object, raised by an elevation [degrees]."""
     means = gaussians.means[gaussians.opacities > 0.1].astype(float)
     means = means[np.isfinite(means).all(axis=1)]
     low, high = means.min(axis=0), means.max(axis=0)
@@ -213,10 +200,7 @@ def _camera(eye: Any, target: Any, size: tuple[int, int], focal: float, shift: A
 def _correct_camera(
     renderer: Renderer, gaussians: Gaussians, camera: Camera, photograph: Photograph, near: bool
 ) -> Camera:
-    """Correct the camera's zoom and shift by aligning its picture with the photograph.
-
-    The alignment method is ECC (Evangelidis and Psarakis 2008).
-    """
+    """The alignment method is ECC (Evangelidis and Psarakis 2008)."""
     import cv2
 
     image = renderer(gaussians, camera, BLACK, alpha=True)
@@ -244,10 +228,7 @@ def _correct_camera(
 
 
 def _near(photograph: Photograph) -> NDArray[np.uint8]:
-    """Return a mask [H,W] of the object and of a thin border around it.
-
-    The rim is needed because flat ends of the object are rendered too long.
-    """
+    """The border is needed because flat ends of the object are rendered too long."""
     import cv2
 
     reach = max(1, round(RIM * max(photograph.alpha.shape)))
@@ -256,9 +237,7 @@ def _near(photograph: Photograph) -> NDArray[np.uint8]:
 
 
 def photograph_of(picture: str | os.PathLike[str], folder: Path) -> Photograph:
-    """Return the photograph from which a clip was made, with the object's outline.
-
-    The outline is that of the cut-out in the folder of the clip's run.
+    """Return the photograph of a clip, with the outline of the cut-out in the folder of the run.
 
     Raises:
         InputError: The photograph or its cut-out cannot be opened, or there is no cut-out.

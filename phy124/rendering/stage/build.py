@@ -28,8 +28,7 @@ SAMPLE = 1024
 OUTLIERS = (0.5, 99.5)
 """Percentiles of the Gaussians' positions in each frame, between which the shadow map extends."""
 ROOM = 0.9
-"""Margin of the shadow map around the range of positions, as a fraction of the object's largest
-height above the floor."""
+"""Margin of the shadow map, as a fraction of the object's largest height above the floor."""
 LARGEST = 4.0
 """Half the side of the largest shadow map, in units of the object's size."""
 PICTURE_SIDE = 1280
@@ -52,7 +51,6 @@ class Stage:
     pool: float = POOL
     """Brightness that is added in the middle of the floor."""
     frames: dict[int, StageFrame] = field(default_factory=dict)
-    """The surroundings in the last `RECENT` requested frames, by the index of the frame."""
     lock: Any = field(default_factory=Lock)
 
     def at(self, frame: Frame) -> StageFrame:
@@ -120,7 +118,6 @@ def make_stage(
 
 
 def _finite(points: NDArray) -> NDArray[np.bool_]:
-    """Return a mask of the points [N,3] that are finite."""
     return np.asarray(np.isfinite(np.asfortranarray(points)).all(axis=1))
 
 
@@ -141,7 +138,6 @@ def boundaries_of(clip: Clip) -> Sequence[Boundary]:
 
 
 def _kinds(base: type[Boundary]) -> Iterator[type[Boundary]]:
-    """Yield all subclasses of a boundary class that define the field `kind`."""
     for kind in base.__subclasses__():
         if "kind" in kind.model_fields:
             yield kind
@@ -149,7 +145,6 @@ def _kinds(base: type[Boundary]) -> Iterator[type[Boundary]]:
 
 
 def _caster(clip: Clip, rest: NDArray, heights: NDArray, device: str) -> Caster:
-    """Return the object that computes shadow maps of the floor around the object in all frames."""
     chosen = np.flatnonzero(clip.object_mask & _finite(clip.means[0]))
     chosen = chosen[:: 1 + len(chosen) // SAMPLE]
     first = clip.means[0][chosen].astype(np.float64)
@@ -170,8 +165,8 @@ def _caster(clip: Clip, rest: NDArray, heights: NDArray, device: str) -> Caster:
 def glass(caster: Caster, solids: Iterable[Solid], floor: float) -> Iterator[Glass]:
     """Yield the optical depth that each glass solid adds to two layers of the shadow map.
 
-    The layers are just below and just above the solid's lowest point. The optical depth is divided
-    between the layers by linear interpolation in height.
+    The layers are just below and just above the solid's lowest point. The optical depth is
+    interpolated linearly between them.
     """
     for solid in solids:
         x, y, z = solid.centre.tolist()
@@ -189,9 +184,8 @@ def glass(caster: Caster, solids: Iterable[Solid], floor: float) -> Iterator[Gla
 
 
 def _capsule_mask(solid: Solid, x: Array, y: Array) -> Array:
-    """Return 1 for positions under a capsule of glass, and 0 elsewhere.
-
-    The positions are relative to the capsule's centre.
+    """Return 1 for positions under a capsule of glass, and 0 elsewhere; they are relative to its
+    centre.
     """
     ax, ay = solid.axes[0, :2]
     along = x * ax + y * ay
@@ -258,7 +252,6 @@ def pack_stage(
 
 
 def _data_url(picture: NDArray[np.uint8]) -> str:
-    """Return the picture as a data URL, reduced to at most `PICTURE_SIDE` pixels."""
     image = Image.fromarray(picture)
     image.thumbnail((PICTURE_SIDE, PICTURE_SIDE))
     with io.BytesIO() as file:

@@ -14,14 +14,12 @@ from phy124.kernels.splat.arrange import arrange
 from phy124.rendering.stage.frame import Backdrop, StageFrame, bounds
 
 NO_SHADE = np.zeros((2, 2), np.uint16)
-"""Shadow map that is used if the stage has no floor."""
 
 
 class Uploaded:
     """The lighting stage of a frame in a device's memory; it does not depend on the camera."""
 
     def __init__(self, shown: StageFrame, device: Any) -> None:
-        """Upload the lighting stage of a frame to a device."""
         levels = NO_SHADE if shown.floor is None else shown.floor.levels
         self.setting = setting(shown)
         self.shade = wp.array(levels, dtype=wp.uint16, device=device, copy=False)
@@ -37,15 +35,10 @@ class Uploaded:
 
 
 class Surroundings:
-    """The lighting stage around the object, as a renderer on a device draws it.
-
-    A renderer uses the same instance for all its pictures.
-    """
+    """The lighting stage around the object, as a renderer draws it in all its pictures."""
 
     among: int
-    """Number of the stage's solids that are drawn between Gaussians; the others are in front of or
-    behind all Gaussians.
-    """
+    """Number of the stage's solids that are drawn between Gaussians."""
 
     def __init__(self, device: Any, *, simd: bool) -> None:
         """Create an empty stage on a Warp device; with `simd`, a CPU draws 16 pixels at a time."""
@@ -56,9 +49,7 @@ class Surroundings:
         self._counts = wp.zeros(3, dtype=int, device="cpu")
 
     def look(self, shown: StageFrame, view: Any, means: Array) -> None:
-        """Upload a lighting stage; sort its solids by depth.
-
-        Some are in front of all Gaussians, some are between Gaussians, and some are behind all
+        """Upload a lighting stage; sort its solids into those before, among and behind all
         Gaussians.
 
         The Gaussians are at `means` [N,3] m; the camera is a `screen.View`.
@@ -103,7 +94,6 @@ class Surroundings:
         wp.launch(stage.draw_setting, threads, inputs=inputs, outputs=[image], device=self.device)
 
     def _allocate(self, count: int, device: Any) -> tuple[Any, Any]:
-        """Return device arrays for the sorted solids and their outlines; reuse them if possible."""
         key = count, str(device)
         if key not in self._arrays:
             kinds: tuple[Any, Any] = glass.Solid, glass.Outline
@@ -125,9 +115,8 @@ def setting(shown: StageFrame) -> Any:
 
 
 def picture(backdrop: Backdrop, width: int, height: int) -> NDArray[np.float32]:
-    """Return the picture of the backdrop [H*W,3], 0..1, cropped and scaled to fill the frame.
-
-    The array is empty if the backdrop has no picture.
+    """Return the backdrop's picture [H*W,3], 0..1, scaled to fill the frame; empty if there is
+    none.
     """
     import cv2
 

@@ -26,9 +26,7 @@ class Backdrop:
     bottom: Colour
     """Colour of the gradient in the picture's last row, 0..1."""
     picture: NDArray[np.uint8] | None = None
-    """A picture [H,W,3] that replaces the gradient. The background has no picture (None) if it is a
-    gradient.
-    """
+    """A picture [H,W,3] that replaces the gradient."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,11 +67,9 @@ class Solid:
     axes: NDArray[np.float64]
     """Axes of the solid [3,3], a unit vector in each row."""
     half: NDArray[np.float64]
-    """Half the side lengths of a box [3], m. For a capsule, the first number is half its length and
-    the others are 0.
-    """
+    """Half the sides of a box [3], m; for a capsule, half its length, 0 and 0."""
     radius: float = 0.0
-    """Radius of a capsule, m. The radius of a box is 0."""
+    """Radius of a capsule, m; 0 for a box."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,9 +8,6 @@ the layers above it from the floor. A layer at height h dims both lights:
   `SOFTNESS` h, because the lamp is not a point.
 - The layer dims the sky by the layer's coverage, weighted with h^2 / (pi (h^2 + r^2)^2), the
   fraction of a uniform sky's light that passes at a distance r (ambient occlusion).
-
-The blur and the weighted coverage are convolutions. A map therefore takes one Fourier transform per
-layer, and one inverse transform.
 """
 
 import math
@@ -32,9 +29,7 @@ from phy124.runtime.device import lock_gpu
 CELLS = 128
 """Number of cells along a side of the shadow map."""
 LAYERS = 7
-"""Number of layers. The height above the floor of layer i of the shadow computation is proportional
-to i^2.
-"""
+"""Number of layers; the height of layer i above the floor is proportional to i^2."""
 SLOPE = (-0.30, 0.22)
 """Displacement of the lamp's rays along x and y per metre of descent. The lamp is in front of, to
 the left of and above the object.
@@ -44,29 +39,21 @@ SOFTNESS = 0.25
 LAMP, SKY = 0.22, 0.32
 """Fractions of the floor's light from the lamp and from the sky; the rest casts no shadow."""
 SAMPLE = 65536
-"""Largest number of Gaussians that cast shadows. If there are more Gaussians than this, a sample of
-them casts shadows, and each shadow is wider.
-"""
+"""Largest number of Gaussians that cast shadows; a sample of more Gaussians casts wider shadows."""
 GLASS = 0.25
 """Opacity of boundaries, which are drawn as glass."""
 FAINT = 2 / 255
 """A shadow that removes this fraction of the light is drawn half as dark; fainter shadows almost
-vanish.
-
-The sky's shadow, which is faint and wide, is thus limited in extent.
+vanish. The faint and wide shadow of the sky is thus limited in extent.
 """
 UNSEEN = 0.1 / 255
-"""Smallest fraction of the floor's light whose removal by a shadow is visible. A shadow that
-removes a smaller fraction of the light is omitted.
-"""
+"""Smallest fraction of the light whose removal is visible; fainter shadows are omitted."""
 FAINTEST = 1e-4
 """Smallest value of a layer's frequency response that is not neglected."""
 EDGE = 0.1
 """Fraction of the shadow map's side, at each border, over which the shadow fades."""
 Glass = tuple[tuple[int, slice, slice], Array | float]
-"""A rectangle of cells in a layer (layer, rows, columns), and the optical depth that glass adds
-there.
-"""
+"""A rectangle of cells (layer, rows, columns), and the optical depth that glass adds there."""
 
 
 def covering(device: str) -> tuple[Any, int]:
@@ -133,7 +120,6 @@ class Caster:
 
     @lock_gpu
     def _depth(self, gaussians: Gaussians, floor: float) -> Array:
-        """Return the optical depth of the Gaussians in each layer."""
         step = max(1, math.ceil(len(gaussians) / SAMPLE))
         layers = wp.zeros((LAYERS, CELLS, CELLS), dtype=float, device=self.device)
 
@@ -153,11 +139,8 @@ class Caster:
 
     @cached_property
     def _response(self) -> list[NDArray[np.complex64]]:
-        """Frequency response that turns each layer's optical depth into shadow.
-
-        There is an array [CELLS,K] for each layer, where K <= CELLS/2+1.
-
-        Higher layers are smoother and need fewer frequencies along y.
+        """Frequency response [CELLS,K] of each layer, where K <= CELLS/2+1: higher layers are
+        smoother and need fewer frequencies along y.
         """
         kx = 2 * np.pi * scipy.fft.fftfreq(CELLS, self.cell)[:, None]
         ky = 2 * np.pi * scipy.fft.rfftfreq(CELLS, self.cell)[None, :]

@@ -17,12 +17,9 @@ from phy124.rendering.stage.frame import Solid
 LEVEL = 0.999
 """Cosine of the largest slope with which a plane counts as a floor."""
 THICK = 0.04
-"""Walls and plates have no thickness; they are rendered with this thickness, in units of the
-object's size.
-"""
+"""Thickness with which walls and plates are rendered [object sizes]."""
 WIDE = 1.1
-"""Walls and plates are infinite; they are rendered with this width, relative to the object's width.
-"""
+"""Width with which infinite walls and plates are rendered, relative to the object's width."""
 LONGEST = 5.0
 """Largest length by which a slope is continued to the floor, in units of the object's width."""
 MARGIN = 0.02
@@ -44,9 +41,7 @@ class PlacedWall:
     span: Corners
     """Box outside which an infinite wall is not rendered, m."""
     floor: float = math.inf
-    """Height down to which a slope is rendered [m]. A slope with an infinite value is rendered down
-    to the bottom of its box.
-    """
+    """Height down to which a slope is rendered [m]; if infinite, down to the bottom of its box."""
 
     @property
     def is_floor(self) -> bool:
@@ -97,9 +92,8 @@ def _walls(boundary: Boundary, rest: NDArray) -> Iterator[PlacedWall]:
 def span_container(container: Container, low: NDArray, high: NDArray) -> Corners:
     """Return the box that is drawn for a container around an object.
 
-    The object at rest lies between the corners `low` and `high` [m].
-
-    The walls of the box end slightly above the object. Open sides end at 2 object sizes.
+    The object at rest lies between the corners `low` and `high` [m]. The box ends slightly above
+    the object, and open sides end at 2 object sizes.
     """
     size = float((high - low).max())
     room = size * np.array([2.0, 2.0, 0.1])
@@ -108,10 +102,7 @@ def span_container(container: Container, low: NDArray, high: NDArray) -> Corners
 
 
 def _shape(part: Boundary, body: AtRest) -> tuple[str, NDArray[np.float64] | None]:
-    """Return the distance function of a wall of simple shape, and the function's parameters.
-
-    A plug-in with another distance function is rendered as its bounding box, if it has one.
-    """
+    """A plug-in with another distance function is rendered as its bounding box, if it has one."""
     with suppress(NotImplementedError, AttributeError):
         if (outline := part.outline()) in SHAPES:
             return outline, np.array(part.geometry(body), float)
@@ -122,7 +113,6 @@ def _shape(part: Boundary, body: AtRest) -> tuple[str, NDArray[np.float64] | Non
 
 
 def _around(low: NDArray, high: NDArray) -> Corners:
-    """Return a box that has a square base and is slightly wider than the object."""
     middle, half = (low + high) / 2, (high - low) / 2
     half[:2] = WIDE * half[:2].max()
     half[2] *= 1.1
@@ -130,7 +120,6 @@ def _around(low: NDArray, high: NDArray) -> Corners:
 
 
 def _clamped_span(wall: PlacedWall, rest: NDArray) -> Corners:
-    """Return the box around the points that a clamp holds."""
     point, second, third = wall.shape
     if wall.outline == "half_space":
         inside = (rest - point) @ second <= 0
@@ -148,10 +137,7 @@ def _around_cylinder(axis: NDArray, sizes: NDArray) -> NDArray[np.float64]:
 
 
 def _panel(wall: PlacedWall) -> Solid:
-    """Return an infinite wall as a slab behind the wall's face, as wide as the box of the wall.
-
-    A slope is continued downhill to the floor.
-    """
+    """A slope is continued downhill to the floor."""
     point, normal, _ = wall.shape
     low, high = wall.span
     middle, half = (low + high) / 2, (high - low) / 2
@@ -168,9 +154,8 @@ def _panel(wall: PlacedWall) -> Solid:
 
 
 def _frame_of(normal: NDArray) -> NDArray[np.float64]:
-    """Return three perpendicular unit vectors [3,3].
-
-    The first is the normal, the second is horizontal if possible, and the third is normal to both.
+    """Return unit vectors [3,3]: the normal, one that is horizontal if possible, and one normal to
+    both.
     """
     up = np.array([0.0, 0.0, 1.0]) if abs(normal[2]) < LEVEL else np.array([1.0, 0.0, 0.0])
     second = np.cross(up, normal)
@@ -187,7 +172,6 @@ def _box(wall: PlacedWall) -> Solid:
 
 
 def _cylinder(wall: PlacedWall) -> Solid:
-    """Return the box around a cylinder."""
     point, axis, sizes = wall.shape
     return Solid(point, np.eye(3), _around_cylinder(axis, sizes))
 
@@ -211,9 +195,7 @@ SHAPES: dict[str, Any] = {
     "sphere": _ball,
     "capsule": _capsule,
 }
-"""Functions that return the solid to render for a boundary; the keys are names of distance
-functions.
-"""
+"""Functions that return the solid to render, by the name of the distance function."""
 
 
 def floor_heights(
