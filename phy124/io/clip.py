@@ -445,9 +445,7 @@ def _write_metadata(path: Path, metadata: Mapping[str, str]) -> bool:
 
 
 def _open_tensors(path: Path) -> dict[str, NDArray]:
-    """If another program shortens a memory-mapped file, the system ends the process that reads the
-    file.
-    """
+    """If another program shortens a memory-mapped file, the system ends the reading process."""
     small = path.stat().st_size <= SMALL
     data = np.fromfile(path, np.uint8) if small else np.memmap(path, np.uint8, "r")
     first = 8 + int.from_bytes(data[:8].tobytes(), "little")

@@ -66,9 +66,7 @@ class Content(NamedTuple):
     not resolve the positions in the file.
     """
     step: float = 0.0
-    """Spacing of the positions that the file can represent near the object; 0 if it is
-    negligible.
-    """
+    """Spacing of the positions that the file can represent near the object; 0 if negligible."""
 
     @property
     def in_place(self) -> Content:
@@ -309,9 +307,7 @@ def assign_objects(
 
 
 FAR = 4
-"""float32 is precise enough if the object's distance from the origin is at most this many times the
-object's size.
-"""
+"""float32 is precise enough if an object is at most this many object sizes from the origin."""
 FINE = 20_000
 """float32 is precise enough if it divides the object's size into at least this many increments."""
 COARSE = 4000

@@ -227,9 +227,7 @@ def naming_full_disk(folder: Path) -> Iterator[None]:
 
 
 def deliver(folder: Path) -> list[str]:
-    """Move complete files and non-empty folders from a `staging` folder to its output folder;
-    return the names.
-    """
+    """Move complete files and non-empty folders from a `staging` folder to its output folder."""
     out, made = folder.parent, folder.glob("[!.]*")
     names = sorted(path.name for path in made if path.is_file() or any(path.iterdir()))
     for name in names:

@@ -132,9 +132,7 @@ objects have a few negative lengths.
 NEIGHBOURS = 4
 SOME = 2000
 BARE = 0.55
-"""If the ratio of the Gaussians' width to their spacing is below this value, the object is full of
-holes.
-"""
+"""Below this ratio of the Gaussians' width to their spacing, the object is full of holes."""
 SHORT = 1.0
 """Scales that are all positive can be logarithms only if their median is above this value."""
 COVERING = (0.6, 6.0)

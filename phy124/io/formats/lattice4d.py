@@ -303,9 +303,7 @@ def _centres(still: bytes) -> NDArray[np.float64]:
 
 @dataclass(frozen=True, eq=False)
 class _Motion:
-    """Displacements of a lattice, and extra shifts of the Gaussians whose error would be too
-    large.
-    """
+    """Displacements of a lattice, and extra shifts of Gaussians whose error would be too large."""
 
     lattice: Lattice
     exceptions: NDArray[np.int64]

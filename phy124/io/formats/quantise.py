@@ -82,8 +82,7 @@ OTHERS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
 
 
 def drop_largest(quats: NDArray) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return the three smallest components of each quaternion [N,3], and the index of the fourth
-    [N].
+    """Return each quaternion's three smallest components [N,3], and the index [N] of the fourth.
 
     Signs are changed so that the fourth component is positive.
     """
