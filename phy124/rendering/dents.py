@@ -67,9 +67,7 @@ class Dents:
         return self._mean @ x
 
     def normals(self, x: NDArray) -> NDArray[np.float32]:
-        """Return the outward unit normals of the patches [m,3]; 0 if a patch and its neighbours are
-        on a line.
-        """
+        """Return the outward unit normals of the patches [m,3]; 0 for a patch on a line."""
         centres = self.centres(x)
         return _unit(np.cross(self._along @ centres, self._across @ centres)).astype(np.float32)
 
@@ -117,9 +115,7 @@ def _slopes(near: NDArray, features: NDArray, x: NDArray, outward: NDArray) -> t
 
 
 def _shares(features: NDArray, centres: NDArray, near: NDArray) -> Any:
-    """Return a matrix that interpolates values of m patches to n Gaussians; `near` [n,k] are
-    patches.
-    """
+    """Return a matrix that interpolates values from the patches `near` [n,k] to n Gaussians."""
     n, k = near.shape
     square = np.zeros((n, k), np.float32)
     for feature, centre in zip(features.T, centres.T, strict=True):

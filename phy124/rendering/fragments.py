@@ -15,13 +15,9 @@ from numpy.typing import NDArray
 LUMP = 0.12
 """Mean size of lumps, which are divided into fragments, relative to the longest side at rest."""
 SIZES = 0.11, 0.06, 0.04
-"""Mean sizes of fragments, relative to the longest side at rest; each lump has one of these
-sizes.
-"""
+"""Mean sizes of fragments, one for each lump, relative to the longest side at rest."""
 WHOLE, BROKEN = 1.06, 1.3
-"""A fragment deforms with its material up to the first stretch, and keeps its shape above the
-second.
-"""
+"""Up to the first stretch, a fragment deforms; above the second, it keeps its shape."""
 SMALLEST = 0.7
 """Smallest size of a fragment that was compressed before it broke, relative to its size at rest."""
 NEWTON = 6

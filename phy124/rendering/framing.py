@@ -26,9 +26,7 @@ LARGEST = 5.0
 follows the object.
 """
 WINDOW = 0.3
-"""A moving camera shows all positions of the object up to this time before and after each frame
-[s].
-"""
+"""A moving camera shows all positions of the object within this time around each frame [s]."""
 NEARER = 1.1
 """With several objects, the camera moves in and out if it thus enlarges them by this factor in most
 frames.

@@ -21,9 +21,7 @@ from phy124.kernels.splat import discs, fields
 from phy124.kernels.splat.discs import BLUR, LEVEL
 
 WHOLE = 0.945
-"""Standard deviation of a point on the grid after smoothing by the filter and the eight cells
-[cells].
-"""
+"""Standard deviation of a point on the grid after the filter and the eight cells [cells]."""
 MOST = 4_000_000
 """Largest number of cells; for a scattered liquid, the cells are made larger."""
 SAMPLE = 8192
@@ -73,9 +71,7 @@ class Field:
     """A grid on which values of a liquid's points are added up and smoothed."""
 
     def __init__(self, x: NDArray, cell: float, planes: Planes = NOWHERE) -> None:
-        """Place points [N,3] m on a grid; the spacing `cell` [m] is increased if there would be too
-        many cells.
-        """
+        """Place points [N,3] m on a grid with the spacing `cell` [m], or wider for many cells."""
         low, high = np.percentile(x[:: 1 + len(x) // SAMPLE], [0.1, 99.9], axis=0)
         spare = 4 * BLUR * cell
         extent = high - low + 2 * spare
@@ -89,8 +85,7 @@ class Field:
         self.open, self._room = self._before(planes, corner)
 
     def _before(self, planes: Planes, corner: NDArray) -> tuple[NDArray | float, NDArray | float]:
-        """Return the fraction of each cell that is in front of all walls, without and with
-        smoothing.
+        """Return the unsmoothed and the smoothed fraction of each cell in front of all walls.
 
         `corner` is the centre of the first cell [3], m.
         """
@@ -125,9 +120,7 @@ class Field:
         return self.smooth(np.minimum(self.add(volumes), 1))
 
     def add(self, volumes: NDArray) -> NDArray[np.float32]:
-        """Return the fraction of each cell that points of `volumes` [N], m^3, fill, before
-        smoothing.
-        """
+        """Return the unsmoothed fraction of each cell that points of `volumes` [N], m^3, fill."""
         filled = np.zeros(self.size, np.float32)
         self.launch(fields.fill, len(self.x), [self.x, volumes], [filled])
         return filled

@@ -32,9 +32,7 @@ SKY = np.array([0.56, 0.59, 0.65], np.float32)
 LAMP_LIGHT = np.array([0.50, 0.46, 0.37], np.float32)
 """Red, green and blue light from the sky, and from the lamp on surfaces that face the lamp."""
 CERTAIN = 0.03
-"""Gradient of phi per cell above which the normal is certain; in sparse spray, light is closer to
-`EVEN`.
-"""
+"""Gradient of phi per cell above which the normal is certain; below, light tends to `EVEN`."""
 EVEN = 0.8
 """Light of the lamp on grains with an uncertain normal, relative to grains that face the lamp."""
 HOLLOW, DEEP = 0.48, 0.72

@@ -44,13 +44,9 @@ TRIES = 8
 ZOOM = 40.0
 """Largest factor by which the field of view is narrowed."""
 ROOM = 1.08
-"""Width of the picture divided by the width of the whole motion in it; the same holds for
-heights.
-"""
+"""Width of the picture divided by that of the whole motion; the same holds for heights."""
 MOST = 0.8
-"""Fraction of the frames that determine the usual extent of a motion; the others are rare
-moments.
-"""
+"""Fraction of the frames that determine a motion's usual extent; the others are rare moments."""
 RARE = 1.5
 """The camera follows the object if rare moments enlarge a motion's extent by this factor."""
 
@@ -64,9 +60,7 @@ class Sample:
     covariances: Array
     """Covariance matrices [T,S,3,3], m^2."""
     corners: tuple[NDArray, NDArray] | None = None
-    """Lowest and highest corner [3] of the object in the first frame, m; None if no centre is
-    finite.
-    """
+    """Corners [3], [3] of the object in the first frame, m; None if no centre is finite."""
 
     @classmethod
     def of(cls, clip: Clip) -> Sample:
@@ -140,9 +134,7 @@ class Sample:
         return far and whole > RARE * _extent(*self._boxes(self.follow().means))
 
     def _boxes(self, means: NDArray[np.floating]) -> tuple[Values, Values]:
-        """Return the corners of the object in each frame [T,3], without the few outermost
-        Gaussians.
-        """
+        """Return the object's corners in each frame [T,3], without the outermost Gaussians."""
         ends = [OUTSIDE / 2, 1 - OUTSIDE / 2]
         parts = (means[part].astype(np.float64) for part in _blocks(len(means)))
         low, high = np.concatenate([np.quantile(part, ends, axis=1) for part in parts], axis=1)
@@ -153,9 +145,7 @@ _samples: WeakKeyDictionary[Clip, Sample] = WeakKeyDictionary()
 
 
 def _reach_of_discs(clip: Clip) -> Values:
-    """Return how far discs on a liquid's surface extend beyond its Gaussians [N], m; 0
-    elsewhere.
-    """
+    """Return how far discs of a liquid extend beyond its Gaussians [N], m; 0 elsewhere."""
     reach = np.zeros(len(clip.opacities))
     cell = float(clip.report.get("grid", {}).get("dx", 0.0))
     for first, last in (clip.report.get("shine") or {}).get("fluid", ()):
@@ -260,9 +250,7 @@ class _Seen:
 
     @property
     def depth(self) -> float:
-        """Extent of the motion along the view [m]; if the cameras turn, the largest extent in any
-        frame.
-        """
+        """Extent of the motion along the view [m]; the largest in any frame if cameras turn."""
         ahead = np.quantile(self.points[:, 2], [OUTSIDE / 2, 1 - OUTSIDE / 2], axis=1)
         if self.turning:
             return float((ahead[1] - ahead[0]).max())
@@ -289,16 +277,12 @@ class _Seen:
         return Standing(float(edges.max()), np.zeros(3), zoom)
 
     def _between(self, edges: Values, halves: Values) -> tuple[Values, Values]:
-        """Return distances [...] m and shifts [...,3] m of cameras that show the space between
-        edges [...,2,2] m.
-        """
+        """Return distances [...] m and shifts [...,3] m that show the space between edges."""
         shift = halves * (edges[..., 0] - edges[..., 1]) / 2
         return edges.sum(axis=-1).max(axis=-1) / 2, shift @ self.axes[0, :2]
 
     def _edges(self, halves: Values) -> Values:
-        """Return the distances [T,2,2], m, from which the sample is inside the right and left,
-        bottom and top edges.
-        """
+        """Return the distances [T,2,2], m, from which the sample is inside each picture edge."""
         few, needed = int(LEFT_OUT * self.points.shape[2]), []
         for part in _blocks(len(self.points)):
             points, reach = self.points[part], self.reach[part]

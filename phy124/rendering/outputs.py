@@ -33,9 +33,7 @@ from phy124.scene.view import Output
 
 Values = NDArray[np.float64]
 FARTHEST_FLOW = 4
-"""Largest optical flow that is written [picture sizes]; only Gaussians that move through the camera
-exceed it.
-"""
+"""Largest optical flow [picture sizes]; only Gaussians that move through the camera exceed it."""
 
 SHARP = 0.3
 """A blur of forces with at most this standard deviation [px] is negligible and omitted."""

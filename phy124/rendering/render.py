@@ -31,9 +31,7 @@ Colour = tuple[float, float, float]
 WHITE: Colour = (1.0, 1.0, 1.0)
 BLACK: Colour = (0.0, 0.0, 0.0)
 MAX_PAIRS = 1 << 24
-"""Largest total length of the tiles' lists of splats; longer lists are blended in groups of
-tiles.
-"""
+"""Largest total length of the tiles' lists; longer lists are blended in groups of tiles."""
 TILES_PER_SPLAT = 4
 """Expected number of tiles per splat, for which memory is allocated before the first picture."""
 BLENDS = {"simd": blend.blend_tiles_simd, "plain": blend.blend_tiles, "pixel": blend.blend_pixels}
@@ -335,9 +333,7 @@ class Renderer:
         return corners.cumsum(0, np.int64).cumsum(1)[:-1, :-1].ravel()
 
     def _bin_on_device(self, n: int, view: Any) -> tuple[Any, Any, Any]:
-        """The number of splats is never copied to the host. The lists are empty if there are more
-        than `_room` entries.
-        """
+        """The number of splats stays on the device; more than `_room` entries leave empty lists."""
         tiles, room = view.rows * view.columns, self._room
         before: Any = self._buffers["before"]
         starts, ends = (self._buffer(name, tiles, wp.int32)[:tiles] for name in ("starts", "ends"))
@@ -395,9 +391,7 @@ class Renderer:
         return buffer
 
     def _upload(self, array: NDArray, dtype: Any, name: str | None = None) -> wp.array:
-        """Share an array on a CPU; copy it to a GPU, into the buffer of this name or into new
-        memory.
-        """
+        """Share an array on a CPU; copy it to a GPU, into the named buffer or new memory."""
         if name is None or not self.device.is_cuda:
             return wp.array(array, dtype=dtype, device=self.device, copy=False)
         buffer: Any = self._buffer(name, len(array), dtype)[: len(array)]

@@ -26,9 +26,7 @@ AROUND = 9
 colour [px].
 """
 BEHIND = 0.03
-"""Visible Gaussians are at most this far behind the front surface, relative to the object's
-depth.
-"""
+"""Visible Gaussians are at most this far behind the front surface [depth of the object]."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,9 +24,7 @@ CUTOUT = "cutout.png"
 LARGEST = 1024
 """Longest side of a photograph [pixels]; larger photographs are reduced."""
 MARGIN = 0.015
-"""Width of the border that is inpainted with the object, relative to the photograph's longest
-side.
-"""
+"""Width of the border inpainted with the object, relative to the photograph's longest side."""
 HOLE = 320
 """Longest side of the picture in which holes are inpainted [pixels]; a larger picture takes longer
 and gives no better result.
@@ -41,9 +39,7 @@ SMALL = 128
 CLEARER = 1.0
 """A raised camera is assumed only if it improves the PSNR by at least this difference [dB]."""
 RIM = 0.008
-"""Width of the border that is compared with the object, relative to the photograph's longest
-side.
-"""
+"""Width of the border compared with the object, relative to the photograph's longest side."""
 ROUNDS = (False, False, False, True, True)
 """For each round: whether only the object and a thin border are compared with the photograph."""
 

@@ -184,9 +184,7 @@ def glass(caster: Caster, solids: Iterable[Solid], floor: float) -> Iterator[Gla
 
 
 def _capsule_mask(solid: Solid, x: Array, y: Array) -> Array:
-    """Return 1 for positions under a capsule of glass, and 0 elsewhere; they are relative to its
-    centre.
-    """
+    """Return 1 under a capsule of glass, 0 elsewhere; positions are relative to its centre."""
     ax, ay = solid.axes[0, :2]
     along = x * ax + y * ay
     near = np.clip(along / max(ax * ax + ay * ay, 1e-12), -solid.half[0], solid.half[0])

@@ -49,8 +49,7 @@ class Surroundings:
         self._counts = wp.zeros(3, dtype=int, device="cpu")
 
     def look(self, shown: StageFrame, view: Any, means: Array) -> None:
-        """Upload a lighting stage; sort its solids into those before, among and behind all
-        Gaussians.
+        """Upload a stage; sort its solids into those before, among and behind all Gaussians.
 
         The Gaussians are at `means` [N,3] m; the camera is a `screen.View`.
         """
@@ -115,9 +114,7 @@ def setting(shown: StageFrame) -> Any:
 
 
 def picture(backdrop: Backdrop, width: int, height: int) -> NDArray[np.float32]:
-    """Return the backdrop's picture [H*W,3], 0..1, scaled to fill the frame; empty if there is
-    none.
-    """
+    """Return the backdrop's picture [H*W,3], 0..1, scaled to fill the frame; maybe empty."""
     import cv2
 
     image = backdrop.picture

@@ -154,9 +154,7 @@ def _panel(wall: PlacedWall) -> Solid:
 
 
 def _frame_of(normal: NDArray) -> NDArray[np.float64]:
-    """Return unit vectors [3,3]: the normal, one that is horizontal if possible, and one normal to
-    both.
-    """
+    """Return unit vectors [3,3]: the normal, a horizontal one if possible, one normal to both."""
     up = np.array([0.0, 0.0, 1.0]) if abs(normal[2]) < LEVEL else np.array([1.0, 0.0, 0.0])
     second = np.cross(up, normal)
     second /= np.linalg.norm(second)
