@@ -17,14 +17,13 @@ from phy124.motion.blocks import BlockLauncher, Step
 from phy124.runtime.cores import cores
 
 PER_CELL = 2
-"""Mean number of particles per cell of the search grid that finds the particles that carry
-Gaussians."""
+"""Mean number of particles per cell of the search grid."""
 MOST_CELLS = 256
-"""Largest number of cells of the search grid along each axis of the particles' bounding box."""
+"""Largest number of cells of the search grid along each axis."""
 FARTHEST = 4.0
 """Largest distance at which several particles carry a Gaussian, in mean distances between
-particles. A Gaussian that is farther away follows only the nearest particle, because the grid does
-not connect material so far apart.
+particles. Farther away, a Gaussian follows the nearest particle, because the grid does not connect
+material so far apart.
 """
 
 
@@ -32,8 +31,7 @@ class Binding(NamedTuple):
     """The particles that carry each Gaussian, and their weights."""
 
     particles: NDArray[np.int32]
-    """Indices of the K particles that carry each Gaussian [N,K], or of the single particle that
-    carries it [N]."""
+    """Indices of the K particles that carry each Gaussian [N,K], or of its single particle [N]."""
     weights: NDArray[np.float32] | None
     """Weights that sum to 1 [N,K]; None if each Gaussian follows a single particle."""
 
@@ -68,8 +66,8 @@ def bind(gaussians: Gaussians, particles: Particles | None) -> Binding:
 def pick_values(gaussians: Gaussians, particles: Particles, values: NDArray) -> NDArray:
     """Return a value for each Gaussian [N] from the values of the particles [P].
 
-    The value is that of the particle that represents the Gaussian. Without such a particle, it is
-    the value of the nearest particle.
+    The value is that of the particle that represents the Gaussian or, without one, of the nearest
+    particle.
     """
     # If all values are equal, for example with a single material, no search is needed.
     if len(values) and (values == values[0]).all():
@@ -86,11 +84,7 @@ def pick_values(gaussians: Gaussians, particles: Particles, values: NDArray) -> 
 def _carriers_of(
     gaussians: Gaussians, particles: Particles
 ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-    """Return the particles [N,K] that carry each Gaussian (its carriers), and their weights
-    [N,K].
-
-    A Gaussian and its carriers belong to the same object.
-    """
+    """A Gaussian and the particles that carry it belong to the same object."""
     if particles.body is None or gaussians.object_id is None:
         return _carriers_within(gaussians.means, particles.x, particles.volume)
     neighbours = np.zeros((len(gaussians), CARRIERS), np.int32)
@@ -105,7 +99,6 @@ def _carriers_of(
 def _carriers_within(
     means: NDArray, x: NDArray, volume: NDArray
 ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-    """Return the carriers [N,K] and weights [N,K] of the Gaussians of one object."""
     # The distance is rounded, so that equal volumes and their mean give equal weights.
     index, weights = find_carriers(means, x, float(np.float32(FARTHEST * np.cbrt(volume.mean()))))
     if len(x) < CARRIERS:
@@ -121,11 +114,10 @@ def find_carriers(
     """Return the nearest particles of each point [N,K] and their weights [N,K], which sum to 1.
 
     The weight at the distance d is proportional to (1 - (d / R)^2)^2, where R is the distance of
-    the nearest particle that is not chosen. R has two upper limits [m]. The first is twice the
-    distance of the farthest chosen particle. The second is the larger of `farthest` and twice the
-    distance of the nearest particle. The weights vary smoothly in space, since a particle enters
-    and leaves the chosen set with weight 0. If there are fewer than K particles, the last weights
-    are 0.
+    the nearest particle that is not chosen. R is at most twice the distance of the farthest chosen
+    particle, and at most the larger of `farthest` and twice the distance of the nearest particle.
+    The weights vary smoothly in space, since a particle enters and leaves the chosen set with
+    weight 0. If there are fewer than K particles, the last weights are 0.
     """
     low, high = particles.min(axis=0).astype(np.float64), particles.max(axis=0)
     extent = np.maximum(high - low, 1e-9)
@@ -150,9 +142,9 @@ def find_carriers(
 
 
 def _bound_particles(count: int, particles: Particles | None) -> NDArray[np.int32] | None:
-    """Return the index of the particle that represents each Gaussian [N], or None.
+    """Return the index of the particle that represents each Gaussian [N].
 
-    None means that Gaussians and particles have the same order, or that the binding is a lattice.
+    The result is None if both have the same order, or if the binding is a lattice.
     """
     if particles is None or (particles.gaussian < 0).all():
         return None

@@ -11,7 +11,6 @@ BLOCK = 1 << 15
 DEFORMATION = "F"
 """Placeholder for the deformation gradients of the Gaussians in the arguments of a step."""
 THREADS = "shapes"
-"""Prefix of the names of the threads that process the Gaussians."""
 
 
 class Step(NamedTuple):
@@ -19,14 +18,11 @@ class Step(NamedTuple):
 
     kernel: Any
     mine: list[Any]
-    """First arguments of the kernel: arrays that have one entry per Gaussian. `DEFORMATION` stands
-    for the deformation gradients."""
+    """First arguments: arrays with one entry per Gaussian; `DEFORMATION` stands for F."""
     shared: list[Any]
-    """Next arguments of the kernel: arrays without an entry per Gaussian, which all threads may
-    read."""
+    """Next arguments: arrays without an entry per Gaussian, which all threads may read."""
     out: list[Any]
-    """Last arguments of the kernel: the arrays that the kernel writes, which have one entry per
-    Gaussian."""
+    """Last arguments: the arrays that the kernel writes, with one entry per Gaussian."""
     each: int = 1
     """Number of Gaussians that one thread of the kernel processes."""
 
@@ -68,7 +64,6 @@ class BlockLauncher:
             future.result()
 
     def _record(self, step: Step, block: range, F: wp.array) -> Any:
-        """Return the launch of one kernel for a block of Gaussians."""
         count = len(block)
 
         def part(array: Any) -> Any:

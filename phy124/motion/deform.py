@@ -1,10 +1,9 @@
 """Moves Gaussians with the material: computes a frame from particles and the Gaussians at rest.
 
-The paper (Phy124, arXiv 2409.07179) computes `Sigma_t = F Sigma_0 F^T` with the total deformation
-gradient F. The decomposition `Sigma = Q Lambda Q^T` then gives the rotation and the scales. This
-module instead computes the axes from `A = F R_0 S_0` (`Sigma = A A^T`), once per frame and in
-float64. The computation from A preserves thin axes and positive definiteness
-(`phy124.kernels.deform`).
+The paper (Phy124, arXiv 2409.07179) decomposes `Sigma_t = F Sigma_0 F^T = Q Lambda Q^T`, with the
+total deformation gradient F, into rotation and scales. This module instead computes the axes from
+`A = F R_0 S_0` (`Sigma = A A^T`), once per frame and in float64, which preserves thin axes and
+positive definiteness (`phy124.kernels.deform`).
 
 Orientations are continuous. The order of the axes (one of 24 proper signed permutations) is chosen
 closest to the previous frame, and the sign of q is chosen so that q . q_previous >= 0. Axes of
@@ -53,18 +52,17 @@ class Deformer:
 
         Args:
             gaussians: The object at rest, N Gaussians.
-            particles: The particles that `make_particles` made from the Gaussians; None: one
-                particle per Gaussian, in order.
-            max_stretch: Largest allowed length of the longest axis, relative to its length at rest;
-                a number, or a value per Gaussian [N]. Fluid and plastic material need it, because
-                their F grows without bound. None: no limit.
+            particles: The particles made from the Gaussians; None: one particle per Gaussian, in
+                order.
+            max_stretch: Largest allowed stretch of the longest axis; a number, or a value per
+                Gaussian [N]. Fluid and plastic material need it, because their F grows without
+                bound. None: no limit.
             rounds: Mask of the Gaussians that become balls when they are stretched [N], so that
                 fluids do not look like needles; None: no Gaussians.
             flows: Mask of the Gaussians of fluid or granular material [N], whose F grows without
                 bound; None: no Gaussians.
-            holds: Largest stretch of each Gaussian's material [N]. If the stretch of F is larger,
-                the material is torn, and the Gaussian is drawn with this largest stretch. None: no
-                limit.
+            holds: Largest stretch of each Gaussian's material [N], with which torn material is
+                drawn. None: no limit.
             binding: Particles that carry each Gaussian, if already known.
             device: Warp device of the computation.
             threads: Number of CPU threads; does not affect the result.
@@ -89,7 +87,6 @@ class Deformer:
         self._broken = wp.zeros(2, dtype=wp.int32, device=device)
 
         def constant(values: Any, dtype: Any) -> wp.array:
-            """Return an array on the device, shortened to one block if all values are equal."""
             values = np.broadcast_to(values, n)
             if n > block and (values.strides == (0,) or (values == values[0]).all()):
                 values = np.repeat(values[:1], block)
@@ -195,7 +192,7 @@ class Deformer:
         return np.flatnonzero(carry).astype(np.int32)
 
     def snapshot(self) -> dict[str, NDArray]:
-        """Return a snapshot of the Gaussians' axes, from which the next frame is computed."""
+        """Return the Gaussians' axes, from which the next frame is computed."""
         axes = {"quats": self._quats, "inner": self._inner}
         if self.gaussians.sh_degree:
             axes["turned"] = self._turned
@@ -209,11 +206,9 @@ class Deformer:
             self._turned.assign(snapshot["turned"])
 
     def _alias(self, array: NDArray, dtype: Any) -> wp.array:
-        """Return an array on the device, without a copy on a CPU."""
         return wp.array(array, dtype=dtype, device=self._device, copy=False)
 
     def _upload(self, x: Any, F: Any) -> tuple[wp.array, wp.array]:
-        """Check positions and F, and return them on the device, in the precision of F."""
         for array, shape in ((x, (3,)), (F, (3, 3))):
             values = array if isinstance(array, wp.array) else np.asarray(array)
             inner: Any = getattr(array.dtype, "_shape_", ())
@@ -251,13 +246,11 @@ def host(array: Any) -> NDArray:
 
 
 def _precision(F: Any) -> Any:
-    """Return Warp's type of the numbers in deformation gradients: float32 or float64."""
     number = F.dtype._wp_scalar_type_ if isinstance(F, wp.array) else np.asarray(F).dtype
     return wp.float32 if number in (wp.float32, np.float32) else wp.float64
 
 
 def _on(array: Any, dtype: Any, device: str) -> wp.array:
-    """Return a Warp array of a type on a device, without a copy if no conversion is needed."""
     if (
         isinstance(array, wp.array)
         and array.dtype is dtype
@@ -273,9 +266,7 @@ def shapes_of(device: str) -> tuple[Any, int]:
 
 
 def carry_of(real: Any, device: str, *, lattice: bool) -> tuple[Any, int]:
-    """Return the kernel that moves Gaussians with particles, and the number of Gaussians per
-    thread.
-    """
+    """Return the kernel that moves Gaussians, and the number of Gaussians per thread."""
     if not lattice:
         return deform.make_follow(real), 1
     return (deform.make_carry_simd(real), 8) if device == "cpu" else (deform.make_carry(real), 1)

@@ -24,13 +24,13 @@ class Exposed:
     grains: Gaussians
     """The Gaussians at full size, with the positions of their particles at rest."""
     above: NDArray[np.int32]
-    """For each Gaussian, the index of the surface Gaussian that hides it [G]."""
+    """Index of the surface Gaussian that hides each Gaussian [G]."""
     grain: NDArray[np.int32]
-    """For each exposure of a Gaussian in a frame, the index of the Gaussian [E], 0 to G - 1."""
+    """Index of the Gaussian of each exposure [E], 0 to G - 1."""
     frame: NDArray[np.int32]
-    """For each exposure of a Gaussian in a frame, the index of the frame [E]."""
+    """Index of the frame of each exposure [E]."""
     x: NDArray[np.float32]
-    """For each exposure of a Gaussian in a frame, the position of its particle [E,3], m."""
+    """Position of the particle in each exposure [E,3], m."""
 
     @cached_property
     def _by_frame(self) -> NDArray[np.intp]:
@@ -38,11 +38,7 @@ class Exposed:
 
     @cached_property
     def _starts(self) -> NDArray[np.intp]:
-        """For each frame, the index of its first exposure, if exposures are sorted by frame.
-
-        The last entry is the number of exposures. An exposure is a Gaussian that a tear exposes in
-        a frame.
-        """
+        """Indices of each frame's first exposure in the order of frames; the last entry is E."""
         frames = np.arange(self.frame.max(initial=-1) + 2)
         return np.searchsorted(self.frame[self._by_frame], frames)
 

@@ -1,8 +1,8 @@
 """Packs a motion into bytes: static arrays without loss, moving arrays with rounding.
 
-Every array is stored as differences. Bytes of equal significance are grouped and compressed by
-Zstandard. Positions and F of particles are rounded to `STEP_X` and `STEP_F`. Differences are taken
-in time, and along a Hilbert curve through the particles at rest.
+Every array is stored as differences, whose bytes of equal significance are grouped and compressed
+by Zstandard. Positions and F of particles are rounded to `STEP_X` and `STEP_F`. Their differences
+are taken in time, and along a Hilbert curve through the particles at rest.
 """
 
 import math
@@ -27,8 +27,7 @@ STEP_F = 2.0**-10
 FRAMES = 32
 """Number of frames that are packed together."""
 FAST = 1 << 20
-"""Arrays with more values than this number are compressed at the second, faster level of `LEVELS`.
-"""
+"""Arrays with more values than this are compressed at the second level of `LEVELS`."""
 LEVELS = 9, 1
 """Levels of compression for small and for large arrays."""
 BITS = 10
@@ -138,16 +137,12 @@ def unpack(tensors: Mapping[str, NDArray], facts: Mapping[str, Any], times: NDAr
 
 
 def _take_gaussians(arrays: Tensors, prefix: str = "") -> Gaussians:
-    """Remove the arrays of Gaussians from a set of arrays, and return the Gaussians."""
     means, quats, scales, opacities, sh = (arrays.pop(prefix + name) for name in STATIC[:5])
     return Gaussians(means, quats, scales, opacities, sh, arrays.pop(f"{prefix}object_id", None))
 
 
 class Steps:
-    """One packed array of the motion (positions or deformation gradients), read frame by frame.
-
-    The group of frames that was read last stays unpacked.
-    """
+    """Packed positions or F of all frames; the frames that were read last stay unpacked."""
 
     def __init__(
         self,
@@ -159,10 +154,8 @@ class Steps:
         count: int,
         shape: tuple[int, ...],
     ) -> None:
-        """Store the packed bytes, with the data for unpacking."""
         self._data, self._step = data, step
         self._place = np.argsort(order)
-        """Place of each particle in the packed order."""
         self._base = np.ascontiguousarray(base[order].T)
         self._ends = np.cumsum([0, *lengths])
         self._count, self._shape, self._chunk = count, shape, (-1, np.zeros(0))
@@ -193,10 +186,7 @@ class Steps:
 
 
 def hilbert_order(points: NDArray[np.float64]) -> NDArray[np.intp]:
-    """Return the order of points [P,3] along a Hilbert curve (Skilling 2004).
-
-    See doi 10.1063/1.1751381.
-    """
+    """Return the order of points [P,3] along a Hilbert curve (Skilling 2004, 10.1063/1.1751381)."""
     if not len(points):
         return np.zeros(0, np.intp)
     low, size = points.min(axis=0), max(float(np.ptp(points, axis=0).max()), 1e-12)
@@ -224,15 +214,11 @@ def hilbert_order(points: NDArray[np.float64]) -> NDArray[np.intp]:
 
 
 def _base(name: str, rest: NDArray) -> NDArray[np.float64]:
-    """Return the values of the particles at rest, which are the start of the packed differences."""
     return rest if name == "x" else np.broadcast_to(np.eye(3).ravel(), (len(rest), 9))
 
 
 def _mean_volumes(particles: Particles) -> NDArray[np.float64]:
-    """Return for each particle the mean volume of its object's particles [P].
-
-    The binding does not need the volumes of individual particles.
-    """
+    """The binding does not need the volumes of individual particles, so means are stored."""
     body = np.zeros(len(particles.x)) if particles.body is None else particles.body
     volume = particles.volume.astype(np.float64)
     for number in np.unique(body):
@@ -245,15 +231,12 @@ def _mean_volumes(particles: Particles) -> NDArray[np.float64]:
 
 
 def _pack_steps(steps: NDArray[np.int32]) -> bytes:
-    """Pack integers [K,T,P] as differences in time, and then as differences along a Hilbert
-    curve.
-    """
+    """Pack integers [K,T,P] as differences in time, and then along a Hilbert curve."""
     steps = np.diff(steps, axis=1, prepend=np.int32(0))
     return _compress(_zigzag(np.diff(steps, axis=2, prepend=np.int32(0)), 4))
 
 
 def _unpack_steps(data: bytes, shape: tuple[int, int, int]) -> NDArray[np.int32]:
-    """Return the integers [K,T,P] that `_pack_steps` packed."""
     steps = _unzigzag(_decompress(data, 4)).reshape(shape)
     np.cumsum(steps, axis=2, dtype=np.int32, out=steps)
     for before, after in pairwise(range(shape[1])):
@@ -262,9 +245,7 @@ def _unpack_steps(data: bytes, shape: tuple[int, int, int]) -> NDArray[np.int32]
 
 
 def _pack_exact(name: str, array: NDArray) -> tuple[NDArray[np.uint8], dict[str, Any]]:
-    """Pack an array by columns, without loss; a column that equals the previous column takes no
-    bytes.
-    """
+    """A column that equals the previous column takes no bytes."""
     columns = _columns(array)
     last, chunks = None, []
     for index in _column_order(name, len(columns)):
@@ -280,7 +261,6 @@ def _pack_exact(name: str, array: NDArray) -> tuple[NDArray[np.uint8], dict[str,
 
 
 def _unpack_exact(data: NDArray, facts: Mapping[str, Any]) -> NDArray:
-    """Unpack an array that `_pack_exact` packed."""
     dtype, shape = np.dtype(facts["dtype"]), tuple(facts["shape"])
     ends = np.cumsum([0, *facts["chunks"]])
     width = len(facts["chunks"])
@@ -298,17 +278,12 @@ def _unpack_exact(data: NDArray, facts: Mapping[str, Any]) -> NDArray:
 
 
 def _column_order(name: str, count: int) -> Sequence[int]:
-    """Return the order in which the columns of an array are packed.
-
-    The real part of quaternions is last, because it is computed from the other parts.
-    """
+    """The real part of quaternions is last, because it is computed from the other parts."""
     return (1, 2, 3, 0) if name.endswith("quats") and count == 4 else range(count)
 
 
 def _real_part(columns: NDArray) -> NDArray[np.float32]:
-    """Return the real part of unit quaternions, which is positive, from the bits of the other
-    parts.
-    """
+    """Return the positive real part of unit quaternions from the bits of the other parts."""
     x, y, z = (columns[k].view(np.float32).astype(np.float64) for k in (1, 2, 3))
     return np.sqrt(np.maximum(1 - x * x - y * y - z * z, 0)).astype(np.float32)
 
@@ -322,9 +297,7 @@ def _bits(array: NDArray) -> NDArray:
 
 
 def _columns(array: NDArray) -> NDArray:
-    """Return the bits of an array as integers, transposed: each column of the array becomes a
-    row.
-    """
+    """Return the bits of an array as integers, transposed."""
     return np.ascontiguousarray(_bits(array).reshape(len(array), math.prod(array.shape[1:])).T)
 
 
@@ -335,7 +308,7 @@ def _zigzag(values: NDArray, size: int) -> NDArray:
 
 
 def _unzigzag(values: NDArray) -> NDArray:
-    """Return the integers that `_zigzag` has mapped to `values`; `values` are overwritten."""
+    """Invert `_zigzag`; `values` are overwritten."""
     signed = values.view(f"<i{values.dtype.itemsize}")
     odd = signed & 1
     values >>= 1
@@ -344,7 +317,7 @@ def _unzigzag(values: NDArray) -> NDArray:
 
 
 def _compress(values: NDArray) -> bytes:
-    """Compress numbers; bytes of equal significance are stored next to each other."""
+    """Bytes of equal significance are stored next to each other."""
     planes = np.ascontiguousarray(values).reshape(-1).view(np.uint8)
     planes = np.ascontiguousarray(planes.reshape(-1, values.dtype.itemsize).T)
     level = LEVELS[values.size > FAST]

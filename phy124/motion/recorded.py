@@ -34,14 +34,12 @@ NEAR = 4
 TRIM = 32
 """Number of frames after which freed memory is returned to the system."""
 STATES = 16e6
-"""Largest total size of the stored states of the Gaussians, from which frames can be computed
-[bytes]."""
+"""Largest total size of the stored states, from which later frames are computed [bytes]."""
 BYTES = 40
 """Size of one Gaussian in a computed frame [bytes]."""
 STATE = 32
-"""Size of one Gaussian in a stored state, from which later frames are computed [bytes]."""
+"""Size of one Gaussian in a stored state [bytes]."""
 MOVING = ("means", "quats", "scales", "rotations")
-"""Names of the computed arrays of a frame."""
 
 
 class Rows(Protocol):
@@ -103,17 +101,12 @@ class Track:
         self._times, self._displacements = times, displacements
 
     def values(self, times: NDArray) -> NDArray:
-        """Return the displacements [T,3], m, at some times.
-
-        Each is that of the last frame at or before the time.
-        """
+        """Return the displacements [T,3], m, of the last frames at or before some times."""
         return self._displacements[np.searchsorted(self._times, times, side="right") - 1]
 
 
 class Recorded:
-    """The frames of a clip; each frame is computed from the motion of the particles when it is
-    read.
-    """
+    """The frames of a clip, each computed from the motion of the particles when it is read."""
 
     def __init__(
         self,
@@ -152,7 +145,6 @@ class Recorded:
 
     @property
     def _keeps_all(self) -> bool:
-        """Whether all computed frames are kept."""
         return BYTES * self.count * self._length <= KEPT
 
     @property
@@ -186,9 +178,7 @@ class Recorded:
             return row
 
     def measurements(self, *, every: bool = True) -> list[Any]:
-        """Return what `measure` returned for all frames, or for frame 0 and the frames computed so
-        far.
-        """
+        """Return what `measure` returned for all frames, or only for frames computed so far."""
         for index in range(len(self) if every else 1):
             if index not in self._measured:
                 self.row(index)
@@ -206,9 +196,6 @@ class Recorded:
         return (part._advance() for _ in range(len(self)))
 
     def _return_to(self, index: int) -> None:
-        """Continue from the latest stored state of the Gaussians that belongs to this or an earlier
-        frame.
-        """
         start = max((state for state in self._states if state <= index), default=0)
         self._next = start
         assert self._deformer is not None
@@ -218,7 +205,6 @@ class Recorded:
             self._deformer.reset()
 
     def _advance(self) -> dict[str, Array]:
-        """Compute and return the arrays of the next frame."""
         motion, index = self.motion, self._next
         if self._deformer is None:
             self._prepare()
@@ -247,7 +233,6 @@ class Recorded:
         return row
 
     def _prepare(self) -> None:
-        """Bind the Gaussians to the particles that carry them."""
         from phy124.motion.binding import bind  # This import loads Warp.
         from phy124.motion.deform import Deformer
 
@@ -306,8 +291,7 @@ class Torn:
             yield self._exposed.show(row, index, grains)
 
     def _split(self, chosen: NDArray) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Return, for each chosen Gaussian, two indices: of the Gaussian that particles carry, and
-        of the exposed Gaussian.
+        """Return the indices of the carried and the exposed Gaussian for each chosen Gaussian.
 
         The second index is -1 if the Gaussian does not become visible by a tear.
         """
@@ -322,7 +306,6 @@ class Computed(NDArrayOperatorsMixin):
     """One array of all frames [T,N,...], computed frame by frame when it is read."""
 
     def __init__(self, recorded: Frames, name: str, *, columns: slice | None = None) -> None:
-        """Store the name of an array, as in `MOVING`."""
         self.recorded, self.name, self.columns = recorded, name, columns
         count = len(range(recorded.count)[columns or slice(None)])
         self.shape = (len(recorded), count, 4 if name in ("quats", "rotations") else 3)
@@ -350,16 +333,13 @@ class Computed(NDArrayOperatorsMixin):
         return np.stack([self[int(index)][rest] for index in chosen])
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray:
-        """Compute all frames, and return the whole array."""
         return np.asarray(self[:], dtype)
 
     def __array_ufunc__(self, ufunc: Any, method: str, *inputs: Any, **options: Any) -> Any:
-        """Apply a function of NumPy to the array that holds all frames."""
         whole = (np.asarray(i) if isinstance(i, Computed) else i for i in inputs)
         return getattr(ufunc, method)(*whole, **options)
 
     def __getattr__(self, name: str) -> Any:
-        """Return the attribute of this name of the array that holds all frames."""
         if name.startswith("_"):
             raise AttributeError(name)
         return getattr(np.asarray(self), name)

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from phy124.gaussians import Array, Frame, Gaussians, rotation_matrices
 
 IDENTITY = np.array([1, 0, 0, 0], np.float32)
-"""The identity rotation, wxyz."""
 INSTANT = 1e-6
 """Time step of the difference quotient for the velocity of an object on a prescribed path [s]."""
 
@@ -104,10 +103,7 @@ class Scenery:
 
 
 def _multiply(a: NDArray, b: NDArray) -> NDArray[np.float64]:
-    """Multiply the quaternions wxyz `a` [4] and `b` [..., 4].
-
-    The product rotates by `b`, and then by `a`.
-    """
+    """Multiply quaternions wxyz `a` [4] and `b` [...,4]; the product rotates by `b` first."""
     w, v = b[..., :1], b[..., 1:]
     first = a[0] * w - (v @ a[1:])[..., None]
     return np.concatenate([first, a[0] * v + w * a[1:] + np.cross(a[1:], v)], axis=-1)

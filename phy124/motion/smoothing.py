@@ -23,8 +23,8 @@ REACH = 1.25
 NEIGHBOURS = 64
 """Largest number of neighbours over which the motion of a particle is averaged."""
 LARGEST = 0.25
-"""Largest distance by which the smoothing displaces a particle [cells]. This distance is larger
-than the height of the waves that are smoothed, but too small to close a gap in torn material.
+"""Largest displacement of a particle by the smoothing [cells]: larger than the height of the
+smoothed waves, but too small to close a gap in torn material.
 """
 
 
@@ -68,10 +68,7 @@ class Smoothing:
 
 
 def _weights(x: NDArray, reach: float) -> Any:
-    """Return the weights of the neighbours of each particle [P,P], for the mean of their motion.
-
-    The particles are at [P,3], m. Each row of weights sums to 1.
-    """
+    """Return the weights [P,P] of neighbours of particles at x [P,3], m; each row sums to 1."""
     count = min(NEIGHBOURS, len(x))
     result = scipy.spatial.KDTree(x).query(x, count, distance_upper_bound=reach, workers=-1)
     away, index = (np.asarray(array).reshape(len(x), count) for array in result)
