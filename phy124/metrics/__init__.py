@@ -1,9 +1,4 @@
-"""Measures the quality of a clip by CLIP-T as in the paper, and by measures without trained
-weights.
-
-`evaluate` takes a clip and its rendered frames. `phy124 evaluate` renders the frames and prints a
-table of the measures.
-"""
+"""Measures the quality of a clip by CLIP-T as in the paper, and without trained weights."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -36,8 +31,7 @@ class ViewFigures:
     cosine: float | None
     """CLIP-T as mean cosine of the embeddings of consecutive frames; None without a CLIP model."""
     distance: float | None
-    """CLIP-T as mean angular distance between the embeddings of consecutive frames (4DGen's
-    formula); None without a CLIP model."""
+    """CLIP-T as mean angular distance (4DGen's formula); None without a CLIP model."""
     motion: float
     """Mean change of a colour value between consecutive frames [%]; see `pictures.motion`."""
     flicker: float

@@ -12,9 +12,7 @@ from phy124.io.clip import Clip
 from phy124.metrics.pictures import psnr, ssim
 
 SAME_OBJECT = 0.1
-"""Two objects count as equal if the RMS distance of their Gaussians at rest is at most this
-fraction of the object's size.
-"""
+"""Largest RMS distance between equal objects' Gaussians at rest [object sizes]."""
 SAME_TIME = 1e-6
 """Two frames count as simultaneous if their times differ by at most this value [s]."""
 
@@ -39,15 +37,11 @@ class Comparison:
     size: float
     """Longest side of the first clip's object at rest [m]."""
     position_rms: float
-    """RMS distance between the Gaussians of the two clips over all frames, relative to the object's
-    size.
-    """
+    """RMS distance between the Gaussians of the two clips over all frames [object sizes]."""
     position_max: float
-    """Largest distance between a Gaussian's positions in the two clips at the same time, relative
-    to the object's size.
-    """
+    """Largest distance between a Gaussian's simultaneous positions in the clips [object sizes]."""
     worst_frame: int
-    """Index of the frame with the largest RMS distance; the first frame has index 0."""
+    """Index of the frame with the largest RMS distance."""
     colour_rms: float
     """RMS difference of the Gaussians' colour channels, 0 to 1."""
     colour_max: float

@@ -13,27 +13,22 @@ class Physics:
     """Physical measures of a clip. A measure is None if the clip lacks the necessary data."""
 
     mass: float | None
-    """Mass of the particles [kg]. The mass is constant, because MPM conserves mass by
-    construction."""
+    """Mass of the particles [kg], which MPM conserves by construction."""
     volume_lowest: float
-    """Smallest total volume of the Gaussians over time, relative to their volume in the first
-    frame."""
+    """Smallest total volume of the Gaussians, relative to that of the first frame."""
     volume_highest: float
-    """Largest total volume of the Gaussians over time, relative to their volume in the first
-    frame."""
+    """Largest total volume of the Gaussians, relative to that of the first frame."""
     momentum_residual: float | None
-    """Residual: the mean difference between the velocity of the object's centre and the rate of
-    change of the centre's position.
+    """Mean difference between the velocity of the object's centre and the change of its position.
 
     The residual is the mean over frames of |dx/dt - (v before + v after) / 2|, divided by the mean
-    speed. x and v are means over all Gaussians. If all velocities are zero, the residual is not
-    divided by the mean speed, and its unit is m/s. The residual is larger than zero if the path of
-    the centre curves between two frames, as in a collision. The residual is even larger if the
-    velocities do not match the motion. The residual is None if the clip has no velocities.
+    speed; x and v are means over all Gaussians. If all velocities are zero, the residual is not
+    divided, and its unit is m/s. The residual is larger than zero if the path of the centre curves
+    between two frames, as in a collision, and even larger if the velocities do not match the
+    motion. None if the clip has no velocities.
     """
     travelled: float
-    """Length of the path of the object's centre, relative to the object's size; 0 for a frozen
-    clip."""
+    """Length of the path of the object's centre [object sizes]; 0 for a frozen clip."""
     finite: bool
     """Whether all positions, rotations and scales are finite in all frames."""
 
@@ -74,9 +69,8 @@ def _momentum_residual(clip: Clip, centres: NDArray[np.float64]) -> float | None
 def centre_paths_differ(a: Clip, b: Clip) -> float:
     """Return the relative difference between the paths of the objects' centres in two clips.
 
-    The difference is the largest distance between the simultaneous displacements of the two
-    centres, divided by the largest displacement. A small difference means that the two objects, for
-    example of two generators, move in the same way.
+    The difference is the largest distance between simultaneous displacements of the two centres,
+    divided by the largest displacement.
 
     Raises:
         ValueError: The clips have different numbers of frames.

@@ -21,10 +21,7 @@ def to_unit(images: NDArray) -> NDArray[np.float64]:
 
 
 def psnr(a: NDArray, b: NDArray) -> float:
-    """Return the peak signal-to-noise ratio of two images [dB].
-
-    Infinite if the images are equal.
-    """
+    """Return the peak signal-to-noise ratio of two images [dB]; infinite if they are equal."""
     error = float(np.mean((to_unit(a) - to_unit(b)) ** 2))
     return math.inf if error == 0 else -10 * math.log10(error)
 
@@ -63,10 +60,9 @@ def motion(video: Video) -> float:
 def flicker(video: Video) -> float:
     """Return the oscillation of the frames' mean colour, in per cent of the colour range.
 
-    Each channel of each frame is averaged. Flicker is half the mean absolute second difference of
-    these averages in time. Flicker is 0 if the mean changes at a constant rate, and 100 if the
-    frames alternate between black and white. If an object only moves, the mean hardly changes, so
-    flicker does not measure motion.
+    Flicker is half the mean absolute second difference in time of each channel's mean. Flicker is 0
+    if the mean changes at a constant rate, and 100 if the frames alternate between black and white.
+    A moving object hardly changes the mean, so flicker does not measure motion.
     """
     colours = to_unit(video).mean(axis=(1, 2))
     return 50 * float(np.abs(np.diff(colours, n=2, axis=0)).mean()) if len(colours) > 2 else 0.0

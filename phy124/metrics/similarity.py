@@ -3,8 +3,7 @@
 The paper states neither the CLIP model nor the formula that it uses. The paper's values (about
 0.99, higher is better) are assumed to be the mean cosine of consecutive frames, as in Gen-1 (Esser
 et al. 2023). 4DGen (Yin et al. 2023, section 4.3) uses half the squared angle instead (about 0.01,
-lower is better). Both formulas of CLIP-T measure only the similarity of consecutive frames. A
-frozen video therefore has the best value.
+lower is better). Both formulas measure only similarity, so a frozen video has the best value.
 """
 
 import os
@@ -88,10 +87,7 @@ class ClipModel:
         self._size = int(self._network.config.image_size)
 
     def __call__(self, images: Iterable[NDArray]) -> NDArray[np.float64]:
-        """Return the embeddings [T,D] of images [H,W,3] (uint8, or float in 0..1).
-
-        The images are processed one by one.
-        """
+        """Return the embeddings [T,D] of images [H,W,3] (uint8, or float in 0..1)."""
         import torch
 
         rows = []
@@ -104,11 +100,7 @@ class ClipModel:
 
 
 def _pixels(image: NDArray, size: int, order: Order) -> NDArray[np.float32]:
-    """Return the input [3,S,S] of CLIP for an image.
-
-    The image's shorter side is resized to S (bicubic), then the centre is cropped and the colours
-    are normalised.
-    """
+    """Return CLIP's input [3,S,S]: the shorter side is resized to S, and the centre is cropped."""
     picture = Image.fromarray((to_unit(image) * 255 + 0.5).astype(np.uint8))
     scale = size / min(picture.size)
     wide, high = (max(size, round(side * scale)) for side in picture.size)
