@@ -44,8 +44,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def import_gradio() -> None:
     """Import gradio without its generation of .pyi files; this saves a third of the import time.
 
-    On every import, gradio derives a .pyi file (for editors) from the source code of each
-    component. Gradio skips components whose source file is unknown.
+    On every import, gradio derives a .pyi file (for editors) from the source code of each component
+    whose source file is known.
     """
     usual = inspect.getfile
 
@@ -89,10 +89,7 @@ def serve(settings: Settings) -> None:
 
 
 def read_options(arguments: Sequence[str] | None) -> dict[str, str]:
-    """Return the command-line options as environment variables.
-
-    For example, --port 80 becomes PHY124_PORT=80.
-    """
+    """Return options as environment variables, such as PHY124_PORT=80 for --port 80."""
     parser = ArgumentParser(
         prog="phy124-demo",
         usage="%(prog)s [--port 7860] [--max-frames 72] ...",

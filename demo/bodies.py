@@ -13,17 +13,14 @@ if TYPE_CHECKING:
 DRAIN = 1 << 28
 """Number of bytes of a refused request that are read before its connection is closed."""
 VALUES, DEEPEST = 50_000, 40
-"""Largest number of values in the JSON of a request, and the largest nesting depth of this JSON."""
+"""Largest number of values in the JSON of a request, and its largest nesting depth."""
 HELD, SMALL = 128_000_000, 64_000
-"""Limit on the total memory for incomplete request bodies, and largest size of a body that does not
-count towards this limit [bytes]."""
+"""Largest memory of incomplete request bodies, and largest body that does not count [bytes]."""
 ODD = "This request cannot be read: its JSON has too many values, or they are nested too deeply."
 
 
 class BodyLimit:
     """Refuses request bodies that are too large, and JSON with too many values.
-
-    Bodies without a declared size are refused when they become too large.
 
     Gradio parses JSON in its main thread. A body with three million numbers would block all
     visitors for a second.
@@ -65,7 +62,6 @@ class BodyLimit:
         await self.app(scope, _replay(body, receive), send)
 
     async def _whole(self, receive: Receive) -> bytes | None:
-        """Read the body of a request; return None if the body is too large or incomplete."""
         body, more = bytearray(), True
         try:
             while more:
@@ -102,10 +98,7 @@ def is_plain(body: bytes) -> bool:
 
 
 def _limit(receive: Receive, most: int) -> Receive:
-    """Return a receive function for a body of at most `most` bytes.
-
-    If the client sends more, the function reports a lost connection to the application.
-    """
+    """If the client sends more than `most` bytes, the application sees a lost connection."""
     read = 0
 
     async def counted() -> Message:
@@ -118,7 +111,6 @@ def _limit(receive: Receive, most: int) -> Receive:
 
 
 def _replay(body: bytes, receive: Receive) -> Receive:
-    """Return a receive function whose first message is the body that has already been read."""
     unread = True
 
     async def again() -> Message:
@@ -136,7 +128,7 @@ def _too_large(said: str) -> PlainTextResponse:
 
 
 async def _drain(receive: Receive) -> None:
-    """Read and discard a body, because a client reads the answer only after sending the body."""
+    """A client reads the answer only after it has sent the whole body."""
     read, more = 0, True
     while more and read < DRAIN:
         message = await receive()

@@ -1,7 +1,7 @@
 """Presets, controls and limits of the page, all derived from the scene's declaration.
 
-The page's editor (static/scene.js) builds its cards, sliders and forms from `catalogue`. New laws,
-forces and boundaries therefore appear automatically, including those of plug-ins.
+The page's editor (static/scene.js) builds its cards, sliders and forms from `catalogue`, so new
+laws, forces and boundaries appear automatically, including those of plug-ins.
 """
 
 from __future__ import annotations
@@ -24,10 +24,7 @@ from .source import SMALLER
 
 FOLDER = Path(__file__).parent
 FIRST = "press drop bounce wind spin push_right sway"
-"""Presets that the page shows first. The other presets follow in alphabetical order.
-
-Presets that are named after a material come last.
-"""
+"""Presets that the page shows first; presets that are named after a material come last."""
 TITLES = {"push_right": "Push"}
 """Card title of each preset whose name is unsuitable as a title."""
 READY = {
@@ -40,16 +37,13 @@ READY = {
 }
 """Title and example picture of each preset whose finished result `make_previews` creates."""
 PUSHES = {"gravity": "g", "acceleration": "a"}
-"""Forces whose direction the page's direction pad changes, each with the field that the pad
-sets."""
+"""Forces that the page's direction pad changes, each with the field that the pad sets."""
 LONGEST, LONGER = 20_000, 200
-"""Largest length of a scene as text [characters], and the increase of this limit for each frame.
-
-The limit increases because a scene that was saved from a live run contains the position of the hand
-in each frame.
+"""Largest length of a scene as text [characters], and the increase of this limit for each frame: a
+scene from a live run contains the position of the hand in each frame.
 """
 LISTS, PARTS = ("forces", "boundaries", "objects", "parts", "pairs"), 64
-"""Fields of a scene that are lists, each with the largest number of entries allowed."""
+"""Fields of a scene that are lists, and the largest number of parts."""
 WEIGHTS = {"foam": 50, "water": 1000, "stone": 2600, "iron": 7900}
 """Densities of familiar materials [kg/m^3]."""
 SUBSTANCES: dict[str, dict[str, Any]] = {
@@ -61,10 +55,7 @@ SUBSTANCES: dict[str, dict[str, Any]] = {
     "water": {"law": "fluid", "viscosity": 0.5, "tint": "#1f6fb8", "visibility": 0.1},
     "metal": {"law": "metal", "E": 1e6, "yield_stress": 2e4, "density": 2700},
 }
-"""Materials that the page offers by everyday names, and their values.
-
-The material `metal` is softer than real metal, because a toy of real metal would hardly deform.
-"""
+"""Materials by everyday names; `metal` is softer than real metal, which would hardly deform."""
 PREVIEWS = Path(__file__).parent / "previews"
 
 
@@ -99,7 +90,6 @@ def catalogue(settings: Settings) -> dict[str, Any]:
 
 
 def _schema() -> dict[str, Any]:
-    """Return the JSON schema of a scene, without fields that are set by the page."""
     schema = Scene.model_json_schema()
     fields = {"View": ("formats", "outputs", "output_format"), "Timing": ("seconds",)}
     for section, names in fields.items():
@@ -171,11 +161,6 @@ def scene_of(data: Any, settings: Settings, uploads: Path | None = None) -> Scen
 def check_length(field: str, data: Any, settings: Settings) -> None:
     """Check that the JSON text of a scene or of other plain data is not too long.
 
-    Args:
-        field: Name of the data in error messages.
-        data: The data to check.
-        settings: The page's limits.
-
     Raises:
         InputError: The text is too long.
     """
@@ -186,7 +171,6 @@ def check_length(field: str, data: Any, settings: Settings) -> None:
 
 
 def _check_counts(data: dict[str, Any], settings: Settings) -> None:
-    """Raise InputError if a list of the scene is too long; this is checked before validation."""
     counts = {name: len(data[name]) for name in LISTS if isinstance(data.get(name), list)}
     pushes = counts.get("forces", 0) + counts.get("boundaries", 0)
     check_most(
@@ -200,11 +184,6 @@ def _check_counts(data: dict[str, Any], settings: Settings) -> None:
 
 
 def _refuse_makers(scene: Scene) -> None:
-    """Refuse objects that are made by a generator or read from a file.
-
-    Raises:
-        InputError: The scene has such an object.
-    """
     for index, source in enumerate(scene.objects):
         for name in ("file", "mesh", "generator"):
             if getattr(source, name) is not None:

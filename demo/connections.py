@@ -21,18 +21,13 @@ except ImportError:  # Windows
 HEAD, BODY, STALLED = 20.0, 120.0, 60.0
 """Time limits for receiving the head and the body of a request, and for sending an answer [s]."""
 FILES, UNLIMITED = 16_384, 512
-"""Limit on open files and connections that the page requests from the operating system.
-
-`UNLIMITED` is the assumed limit if the system has none.
-"""
+"""Limit on open files that is requested, and the assumed limit of a system that has none."""
 AT_ONCE = 2048
 """Largest number of connections that are accepted at once (uvicorn's default)."""
 
 
 def allow_connections() -> int:
-    """Raise the limit on open files as far as possible; return half of this limit, which is the
-    largest number of connections.
-    """
+    """Raise the limit on open files; return half of it, the largest number of connections."""
     if resource is None:
         return UNLIMITED // 2
     now, most = resource.getrlimit(resource.RLIMIT_NOFILE)
@@ -48,11 +43,7 @@ def limit_connections(most: int) -> Iterator[None]:
 
     The protocol class is replaced before Gradio starts uvicorn, so that all connections have a
     deadline. Up to three batches of new connections are accepted before the excess connections of
-    the first batch are closed. A batch must therefore be smaller than the limit. If it were larger,
-    many connections at the start could use up all open files.
-
-    Args:
-        most: Largest number of connections.
+    the first batch are closed, so a batch must be smaller than the limit.
     """
     usual, batch = (auto.AutoHTTPProtocol, uvicorn.Config), min(AT_ONCE, most // 4)
     auto.AutoHTTPProtocol = partial(Patient, most=most)  # pyright: ignore[reportAttributeAccessIssue]
@@ -122,7 +113,6 @@ class Patient(H11Protocol):
             self.clock = self.loop.call_later(seconds, self.transport.close)
 
     def _make_room(self) -> None:
-        """Close the connection with the earliest deadline, which may be this connection."""
         waiting = [each for each in self.connections if isinstance(each, Patient)]
         slowest = min(waiting, key=lambda each: (_due(each), each is not self), default=self)
         slowest._stop()

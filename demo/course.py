@@ -10,17 +10,13 @@ from phy124.scene import Scene
 SIMULATING, FILMING, HOPELESS = 0.7, 0.85, 3.0
 """Fractions of the page's time limit for a run.
 
-After `SIMULATING` of the limit, no further frame is simulated. After `FILMING`, no further video is
-started. A run fails if it has taken `HOPELESS` times the limit.
+After `SIMULATING`, no further frame is simulated. After `FILMING`, no further video is started.
+After `HOPELESS`, the run fails.
 """
 SOFT, FEW = 1e4, 8
-"""Stiffness [Pa] above which a softer material is suggested, and number of frames above which a
-shorter clip is suggested.
-"""
+"""Stiffness [Pa] and number of frames above which a softer or shorter run is suggested."""
 SURE = 0.1
-"""Fraction of the time limit after which the time of the remaining frames is predicted from the
-time of the frames simulated so far.
-"""
+"""Fraction of the time limit after which the remaining time is predicted from the frames so far."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +26,7 @@ class Course:
     motion: float
     """Time until the last frame is simulated, without a time limit [s]."""
     after: float
-    """Time that the run takes after the simulation, to make videos and files of all frames [s]."""
+    """Time that the run takes after the simulation [s]."""
     frames: int
     limit: float
     """The page's time limit [s]."""

@@ -145,10 +145,7 @@ def _unpack(
     model: type[BaseModel],
     components: Sequence[Component],
 ) -> Handler:
-    """Return a handler for Gradio that passes its arguments to `run` as an instance of `model`.
-
-    Gradio reads the names and defaults of the endpoint's arguments from the handler's signature.
-    """
+    """Gradio reads names and defaults of the endpoint's arguments from the handler's signature."""
     names = [str(component.label) for component in components]
 
     def handle(request: gr.Request, *values: Any) -> Iterator[Any]:
@@ -166,23 +163,18 @@ def _unpack(
 
 
 def _unread(component: Component) -> Any:
-    """Turn off Gradio's checks of a component's value.
-
-    The value is checked later, because errors then contain the name of the argument.
-    """
+    """The value is checked later, because errors then contain the name of the argument."""
     component.preprocess = lambda payload: payload
     return component
 
 
 def _choice(section: type[Section], option: str) -> Any:
-    """Create a Gradio component for an option that has a few choices."""
     field = section.model_fields[option]
     words = list(get_args(field.annotation))
     return _unread(gr.Radio(words, value=field.default, label=option))
 
 
 def _component(section: type[Section], option: str) -> Any:
-    """Create a Gradio component for an option that has a few choices or is a number."""
     field = section.model_fields[option]
     if get_origin(field.annotation) is Literal:
         return _choice(section, option)
@@ -237,7 +229,6 @@ def _measure(studio: Studio) -> Callable[[gr.Request, MeasureRequest], Iterator[
 
 @contextmanager
 def _refusing() -> Iterator[None]:
-    """Convert an InputError to a gr.Error for the calling program."""
     try:
         yield
     except InputError as error:
@@ -245,7 +236,6 @@ def _refusing() -> Iterator[None]:
 
 
 def _admit(studio: Studio, request: gr.Request) -> str:
-    """Register the visitor who sent a request; raise gr.Error if the page is full."""
     name = visitor_of(request)
     with _refusing():
         studio.visitors.get(name, address_of(request))
@@ -253,7 +243,6 @@ def _admit(studio: Studio, request: gr.Request) -> str:
 
 
 def _cut_out(studio: Studio, name: str, asked: MeasureRequest) -> tuple[Scene, Job]:
-    """Build the scene of a request, and start the job that opens its picture or file."""
     # Otherwise, an unknown preset could be read as the path of a file.
     _check_choices("preset", [asked.preset], preset_names())
     _check_choices("accuracy", [asked.accuracy], list(PRESETS))
@@ -274,7 +263,6 @@ def _cut_out(studio: Studio, name: str, asked: MeasureRequest) -> tuple[Scene, J
 
 
 def _with_pictures(studio: Studio, name: str, scene: Scene, sent: list[str]) -> Scene:
-    """Assign a program's pictures to the objects of the scene that need a picture."""
     check_sources(scene, sent)
     waiting = [index for index, object in enumerate(scene.objects) if object.waits]
     changes = {}
@@ -287,7 +275,6 @@ def _with_pictures(studio: Studio, name: str, scene: Scene, sent: list[str]) -> 
 
 
 def _check_choices(field: str, values: Any, choices: list[str]) -> list[str]:
-    """Return the values if all of them are among the choices; otherwise raise gr.Error."""
     wrong = [v for v in values if v not in choices] if isinstance(values, list) else [values]
     if wrong:
         raise refusal(f"{field}: There is no {shorten(wrong[0])}. Give {' or '.join(choices)}.")
@@ -342,7 +329,6 @@ def _fit(studio: Studio) -> Handler:
 
 
 def _follow(job: Job, visitor: Visitor, field: str) -> Iterator[None]:
-    """Wait for a job; cancel it if the program disconnects; raise gr.Error if the job fails."""
     try:
         while not job.wait(BEAT):
             visitor.touch()

@@ -27,8 +27,7 @@ from .work import Done
 BRIDGE = __name__.partition("demo")[0] + "bridge"
 """Package name of the bridge: `bridge` in a checkout, `phy124_bridge` if installed."""
 TOGETHER = threading.BoundedSemaphore(2)
-"""Limits the number of simultaneous conversions, because each conversion occupies a core for
-seconds."""
+"""Limits simultaneous conversions, because each conversion occupies a core for seconds."""
 TAIL = 60.0
 """Time limit for the bridge to record a bag [s]."""
 
@@ -39,8 +38,7 @@ def export(kinds: Sequence[str], done: Done, visitor: Visitor, visitors: Visitor
     Args:
         kinds: Names of formats in `EXPORTS`.
         done: The finished run.
-        visitor: The visitor who made the run. Older files of the visitor are removed if there is
-            not enough disk space.
+        visitor: The visitor who made the run, whose older files may be removed.
         visitors: All visitors.
 
     Raises:
@@ -138,7 +136,6 @@ def _bridge() -> bool:
 
 
 def _write_format(format: Format, done: Done, path: Path) -> None:
-    """Write the whole clip if the format stores motion; otherwise write the first frame only."""
     clip = Clip.load(done.clip / "clip.safetensors")
     if format.write_clip is not None:
         format.write_clip(path, clip)
@@ -147,7 +144,6 @@ def _write_format(format: Format, done: Done, path: Path) -> None:
 
 
 def _export_of(format: Format) -> Export:
-    """Return the `Export` for a file format."""
     moves = format.write_clip is not None
     return Export(
         f"{format.title[0].upper()}{format.title[1:]}, {'moving' if moves else 'at rest'}",

@@ -1,6 +1,6 @@
-"""Optional inputs in addition to the front picture, such as other views or a depth map. For a file
-of Gaussians, the only optional input is the orientation. The inputs have the names, ranges and
-choices of the command line's options.
+"""Optional inputs in addition to the front picture, named as on the command line.
+
+For a file of Gaussians, the only optional input is the orientation.
 """
 
 from __future__ import annotations
@@ -68,17 +68,13 @@ class ExtraInputs:
 
     depth: DepthMap = NO_DEPTH
     views: OtherViews = NO_VIEWS
-    """Cut-outs of the other views. The method `cut_views` creates them."""
+    """Cut-outs of the other views, which `cut_views` creates."""
     sent: tuple[Path, ...] = ()
     """Pictures of the other views before the background is removed."""
     reading: Reading = NO_READING
-    """Orientation of the file of Gaussians."""
     photographed: Photographed = NOT_PHOTOGRAPHED
-    """Whether to also render a video of the object in its photograph, which does not affect the
-    Gaussians.
-    """
+    """Whether to render the object in its photograph, which does not affect the Gaussians."""
     making: Making = NOT_CHOSEN
-    """The generator that creates the object from the picture."""
 
     def cut_views(self, deadline: Deadline) -> None:
         """Create the missing cut-outs of the other views.
@@ -192,6 +188,5 @@ def extras_of(visitors: Visitors, settings: Settings, name: str, values: Any) ->
 
 
 def _refuse(section: Section, why: str) -> None:
-    """Raise InputError if any option of a section is set."""
     for option, value in section.model_dump(exclude_defaults=True).items():
         raise InputError(option, value, why, "Remove it.")

@@ -1,9 +1,8 @@
 """The folder that stores visitors' files while the page runs.
 
-The folder is removed when the page ends. If the page is killed, the next page removes the folder.
-File locks show which folders are in use, because a lock is released when its process ends. Windows
-has no such locks, so folders of killed pages remain there, and two pages can use the same folder by
-mistake.
+The folder is removed when the page ends or, if the page is killed, by the next page. File locks
+show which folders are in use. Windows has no such locks, so folders of killed pages remain there,
+and two pages can use the same folder by mistake.
 """
 
 from __future__ import annotations
@@ -31,8 +30,7 @@ NO_LINKS = getattr(os, "O_NOFOLLOW", 0)
 def lock_folder(wanted: str = "") -> Iterator[Path]:
     """Lock a folder for this page, empty the folder, and remove it when the page ends.
 
-    Args:
-        wanted: Path of the folder. If the path is empty, a new temporary folder is made.
+    If `wanted` is empty, a new temporary folder is made.
 
     Raises:
         InputError: Another page uses the folder, or it contains other files.
@@ -65,7 +63,6 @@ def lock_folder(wanted: str = "") -> Iterator[Path]:
 
 
 def _sweep(folder: Path) -> None:
-    """Remove the folders of pages that no longer run."""
     if fcntl is None:
         return
     for left in folder.glob(f"{PREFIX}*"):
@@ -78,7 +75,6 @@ def _sweep(folder: Path) -> None:
 
 
 def _lock(folder: Path) -> int | None:
-    """Lock a folder; return None if another process holds the lock."""
     try:
         lock = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT | NO_LINKS, 0o600)
     except OSError:

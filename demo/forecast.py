@@ -1,7 +1,6 @@
 """Predict the time and the error bound of a run before the run starts.
 
-phy124/budget/cost.py computes the work of a run. demo/rates.py measures the time of this machine
-per particle and substep, per rendered pixel and so on.
+phy124/budget/cost.py computes the work of a run; demo/rates.py measures the time per unit of work.
 """
 
 from __future__ import annotations
@@ -29,11 +28,7 @@ from .studies import Measurement, on_grid
 Measured = tuple[dict[str, Any], Scene]
 """Report and scene of a finished run."""
 SET_UP = 0.4
-"""Time that a grid of an error study takes in addition to its simulation, divided by `Rates.rest`.
-
-`Rates.rest` is the time of a run's smaller stages. A study needs the additional time to prepare a
-grid and to compare the grid's result.
-"""
+"""Time to prepare a grid of an error study and to compare its result, divided by `Rates.rest`."""
 
 
 @dataclass(frozen=True)
@@ -102,9 +97,7 @@ class Estimator:
 
     @property
     def rates(self) -> Rates:
-        """The current rates: the time that each stage of a run takes per unit of work on this
-        machine.
-        """
+        """Time that each stage of a run takes per unit of work on this machine."""
         return self.learned.now
 
     def __call__(
@@ -180,8 +173,7 @@ class Estimator:
     def load(self) -> Load:
         """Return the load from other programs on this machine, measured every few seconds.
 
-        During a run, the last measurement is returned, because a new measurement would include the
-        run.
+        During a run, the last measurement is returned, because a new one would include the run.
         """
         return self.meter.latest if self._occupied() else self.meter.load()
 
@@ -193,9 +185,6 @@ class Estimator:
         self.learned.calibrate(self._alone(small), self._alone(usual))
 
     def _alone(self, run: Callable[[], Measured]) -> Measured:
-        """Make a run; return its report, whose times are corrected for the load from other
-        programs, and its scene.
-        """
         before = self.meter.measure()
         report, scene = run()
         return _alone(report, before.mean(self.meter.measure())), scene
@@ -246,7 +235,6 @@ class Estimator:
 
 
 def _alone(report: dict[str, Any], load: Load) -> dict[str, Any]:
-    """Divide the times of a run's report by the slowdown that other programs caused."""
     stages = [
         {**stage, "seconds": stage["seconds"] / load.of(stage["name"])}
         for stage in report["stages"]

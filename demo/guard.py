@@ -32,9 +32,7 @@ POLICY = (
     "base-uri 'self'; form-action 'self'; frame-ancestors {frames}"
 )
 INERT = "default-src 'none'; style-src 'unsafe-inline'; sandbox"
-"""Content security policy of all responses except the page. If a browser opens such a response in a
-tab, the policy prevents its scripts from running.
-"""
+"""Content security policy of all responses but the page: a browser runs none of their scripts."""
 COOKIE = "phy124"
 NAME = re.compile(r"[A-Za-z0-9_-]{32}")
 NETWORK = 64
@@ -42,21 +40,14 @@ NETWORK = 64
 
 
 class Doorkeeper:
-    """Refuses requests that this page must not answer.
-
-    The page refuses requests with foreign host names, cross-site requests, and requests for
-    downloads from other sites or for unused URLs.
-    """
+    """Refuses foreign hosts, cross-site requests, downloads from other sites and unused URLs."""
 
     def __init__(
         self, app: ASGIApp, hosts: frozenset[str], origins: frozenset[str] = frozenset()
     ) -> None:
         """Wrap the application that answers the permitted requests.
 
-        Args:
-            app: The application to wrap.
-            hosts: Host names of the page.
-            origins: Public host names of the page. A proxy may replace them in the Host header.
+        A proxy may replace the public host names of the page, `origins`, in the Host header.
         """
         self.app, self.hosts, self.origins = app, hosts, origins
 
@@ -74,7 +65,6 @@ class Doorkeeper:
         await self.app(scope, receive, send)
 
     def _from_own_page(self, headers: Headers) -> bool:
-        """Return whether this page or a program sent the request, according to the headers."""
         host, origin = headers.get("host", ""), headers.get("origin")
         if headers.get("sec-fetch-site", "none") not in ("same-origin", "none"):
             return False
@@ -86,10 +76,7 @@ class Doorkeeper:
         return _without_port(place) in self.origins or _usual(place) == _usual(host.lower())
 
     def _has_own_host(self, headers: Headers) -> bool:
-        """Return whether all host names in a request belong to this page.
-
-        Host names from proxies are also checked, because Gradio writes them into the page.
-        """
+        """Host names from proxies are also checked, because Gradio writes them into the page."""
         host = headers.get("host", "").lower()
         said = ",".join(headers.get(name, "") for name in FORWARDED).lower()
         names = (name.strip() for name in said.split(",") if name.strip())
@@ -115,7 +102,7 @@ def _without_port(place: str) -> str:
 
 
 def _usual(place: str) -> str:
-    """Remove the default port from host names, because browsers omit the default port."""
+    """Browsers omit the default port."""
     return re.sub(r":(80|443)$", "", place)
 
 
@@ -224,10 +211,7 @@ def visitor_of(request: Any) -> str:
 
 
 def address_of(request: Any) -> str:
-    """Return the IP address of a request; for IPv6, return the subscriber's network.
-
-    The page limits the use of its resources per address.
-    """
+    """Return the IP address of a request; for IPv6, the subscriber's network."""
     host = getattr(getattr(request, "client", None), "host", None) or ""
     try:
         address = ipaddress.ip_address(host)

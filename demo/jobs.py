@@ -1,7 +1,7 @@
 """The jobs that the page's buttons start, and their limits; jobs continue without a connection.
 
-This module does not depend on the page's layout. All slow work is done by jobs in a queue
-(demo.line). There is one queue for the device, and another for cutting out pictures.
+All slow work is done by jobs in two queues (demo.line): one for the device, and one for cutting out
+pictures.
 """
 
 from __future__ import annotations
@@ -65,10 +65,7 @@ class Studio:
     visitors: Visitors
     forecaster: Estimator = field(default_factory=lambda: Estimator(DEVICE.locked))
     work: Callable[[Order], Iterator[Any]] = steps
-    """Function that executes an `Order` (the request for a run).
-
-    On ZeroGPU, the function comes from demo.zerogpu.
-    """
+    """Function that executes an `Order` (the request for a run); demo.zerogpu has another one."""
     searches: deque[float] = field(default_factory=lambda: deque(maxlen=5))
     """Durations of the latest segmentations [s]."""
     warm: threading.Event = field(default_factory=threading.Event)
@@ -128,7 +125,6 @@ class Studio:
         return self._submit(visitor, job, self.cuts, work)
 
     def _upload(self, name: str, sent: Any) -> Path:
-        """Return the visitor's upload that a request names; raise InputError if it is missing."""
         if not sent:
             raise missing(None)
         return self.visitors.find_upload(name, sent)
@@ -217,7 +213,6 @@ class Studio:
         return self._complete(estimate, choice, scene, order)
 
     def _predict(self, source: Source | None, scene: Scene, order: Order | None) -> Estimate:
-        """Predict the time of a run without a trial run."""
         ready = stages_done(order) if order else {}
         count, compiling = self.count(source), self._compiling(scene)
         return self.forecaster(scene, gaussians=count, compiling=compiling, **ready)
@@ -225,10 +220,7 @@ class Studio:
     def _complete(
         self, estimate: Estimate, choice: Choice, scene: Scene, order: Order | None
     ) -> Estimate:
-        """Add the expected error to a forecast, and the time and the error of each named accuracy.
-
-        The error was measured on this object or, if it was not, on similar objects.
-        """
+        """The error was measured on this object or, if it was not, on similar objects."""
         visitor, study, proportions = self.visitors.find(choice.name), None, None
         if order is not None and visitor is not None:
             study = read_study(study_file(order))
@@ -296,7 +288,6 @@ class Studio:
         return self._submit(visitor, job, self.runs, lambda job: self._run(visitor, order, job))
 
     def _study_seconds(self, source: Source | None, scene: Scene, order: Order | None) -> float:
-        """Predict the time to measure the errors of a scene [s]."""
         return self.forecaster.study(
             scene,
             grids(scene),
@@ -321,20 +312,17 @@ class Studio:
         return visitor, source, self._scene(visitor, choice.data, limits)
 
     def _scene(self, visitor: Visitor | None, data: Any, limits: Settings | None = None) -> Scene:
-        """Validate a scene, which may name uploads of the visitor but no other files."""
+        """A scene may name uploads of the visitor but no other files."""
         return scene_of(data, limits or self.settings, visitor and visitor.folder / "uploads")
 
     def _order(self, choice: Choice, scene: Scene) -> Order | None:
-        """Create the order of a run; None if the visitor or the source no longer exists."""
         visitor, source = self.visitors.find(choice.name), choice.source
         if visitor is None or source is None or not is_there(source):
             return None
         return self.order((visitor, source, scene), self.check_extras(choice.name, choice.extras))
 
     def _compiling(self, scene: Scene) -> float:
-        """Return the time to compile a scene's kernels [s]; 0 if a running job may be compiling
-        them.
-        """
+        """The time is 0 if a running job may be compiling the kernels."""
         if self.forks or not DEVICE.acquire(blocking=False):
             return 0.0
         try:

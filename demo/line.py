@@ -124,8 +124,7 @@ class Line:
         self._waiting: deque[tuple[Job, Callable[[], None]]] = deque()
         self._running: set[Job] = set()
         self._slowdowns: deque[float] = deque(maxlen=RECENT)
-        """Durations of the latest jobs, each divided by its predicted duration on a machine without
-        other load."""
+        """Durations of the latest jobs, divided by their predictions without other load."""
         self._changed = threading.Condition()
         self._threads: list[threading.Thread] = []
 
@@ -164,8 +163,7 @@ class Line:
     def seconds_to_start(self, job: Job) -> float:
         """Predict the time until a job starts [s]; 0 if it has started.
 
-        The durations of earlier jobs are predicted for an idle machine, so they are multiplied by
-        the slowdown of recent jobs.
+        Predictions are for an idle machine, so they are multiplied by the slowdown of recent jobs.
         """
         with self._changed:
             jobs = [waiting for waiting, _ in self._waiting]

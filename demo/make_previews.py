@@ -123,13 +123,11 @@ def make_ready(name: str) -> None:
 
 
 def _simulate(scene: Scene, example: str) -> Clip:
-    """Simulate a scene with the object of an example picture."""
     cutout = cut_out(FOLDER / "examples" / f"{example}.png").picture
     return Simulation(prepare(make("relief")(cutout, seed=0, progress=silent), scene)).run()
 
 
 def _thin(clip: Clip, step: int) -> Clip:
-    """Keep every `step`-th frame and some of the Gaussians, enlarged to cover the same area."""
     count = clip.means.shape[1]
     chosen = np.sort(np.random.default_rng(0).permutation(count)[:SPLATS])
     frames = [thin_frame(frame, chosen) for frame in list(clip.frames())[::step]]
@@ -137,10 +135,7 @@ def _thin(clip: Clip, step: int) -> Clip:
 
 
 def _save(images: list[Image.Image], scene: Scene, step: int, path: Path, quality: int) -> None:
-    """Write an animated WebP that plays at 0.6 times the scene's speed.
-
-    If the file is larger than `LARGEST`, the quality is lowered until it fits.
-    """
+    """The animation plays at 0.6 times the scene's speed; its quality depends on its size."""
     duration = round(1000 * step / (0.6 * scene.time.fps))
     for lower in range(quality, 0, -10):
         images[0].save(
@@ -158,10 +153,7 @@ def _save(images: list[Image.Image], scene: Scene, step: int, path: Path, qualit
 
 
 def _film(clip: Clip, view: View, camera: Camera, step: int) -> list[Image.Image]:
-    """Render every `step`-th frame with shadow, walls and gloss; add a pause at the end.
-
-    The background is transparent, because the page may be light or dark.
-    """
+    """The background is transparent, because the page may be light or dark."""
     frames, shine = list(clip.frames())[::step], make_shine(clip, view)
     if shine is not None:
         frames = [shine.illuminate(frame, camera) for frame in frames]
@@ -171,7 +163,6 @@ def _film(clip: Clip, view: View, camera: Camera, step: int) -> list[Image.Image
 
 
 def _draw_on(grey: float, clip: Clip, frames: list[Frame], camera: Camera, view: View) -> Pictures:
-    """Render the frames on a grey background."""
     colour = (grey, grey, grey)
     plain = {"background": colour, "gradient": None, "picture": None}
     stage = make_stage(clip, view.model_copy(update=plain))

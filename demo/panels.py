@@ -15,7 +15,6 @@ MARK = "mark"
 
 
 def _load(*files: str) -> str:
-    """Return the HTML that loads scripts and style sheets."""
     return "".join(
         f'<link rel="stylesheet" href="phy124/{file}">'
         if file.endswith(".css")
@@ -94,9 +93,9 @@ def make_panel(name: str) -> gr.HTML:
 def mark_answers(page: Any) -> None:
     """Wrap the handlers of a `gr.Blocks`, so that no two answers to the same panel are equal.
 
-    Gradio does not send a panel a value that equals the previous value. If a request were refused
-    twice with the same message, the panel would wait forever. Each answer therefore contains a
-    different number. Handlers receive values without the number.
+    Gradio does not send a panel a value that equals the previous value, so a panel would wait
+    forever after two equal refusals. Each answer therefore contains a different number, which
+    handlers do not receive.
     """
     for event in page.fns.values():
         panels = [isinstance(block, gr.HTML) for block in event.outputs]

@@ -26,10 +26,7 @@ FETCHES_NOTHING = "This page downloads nothing from an address. Send the file it
 
 
 def _refusing(model: Any, name: str) -> Any:
-    """Return a pydantic model that accepts only files.
-
-    For other values, its error message contains the name of the argument.
-    """
+    """For values that are not files, the error message contains the name of the argument."""
 
     class Sent(model):
         # This is no pydantic validator, because the calling program would not see its exceptions.
@@ -52,7 +49,6 @@ def photo(studio: Studio, label: str) -> gr.Image:
     image.data_model = _refusing(ImageData, label)
 
     def preprocess(payload: Any) -> str | None:
-        """Return the file's path; raise gr.Error if there is none, or a data: URL is broken."""
         if payload is None:
             return None
         if not (payload.path or payload.url):  # Gradio accepts any object and drops its keys.
@@ -71,7 +67,6 @@ def film(label: str) -> gr.File:
     file.data_model = _refusing(FileData, label)
 
     def preprocess(payload: Any) -> str | None:
-        """Return the file's path; raise gr.Error if it is a data: URL."""
         if payload is None:
             return None
         if (payload.url or payload.path or "").startswith("data:"):
@@ -83,7 +78,6 @@ def film(label: str) -> gr.File:
 
 
 def _describe_as_file(component: Any, name: str) -> Any:
-    """Describe a component in the API as a file; the component accepts no URL."""
     example = {"path": name, "meta": {"_type": "gradio.FileData"}}
     component.api_info = FileData.model_json_schema
     component.example_payload = lambda: example
@@ -91,9 +85,7 @@ def _describe_as_file(component: Any, name: str) -> Any:
 
 
 def refusal(text: str) -> gr.Error:
-    """Create the error that a program receives; it is not logged, because the server did not
-    fail.
-    """
+    """Create the error for a program; it is not logged, because the server did not fail."""
     return gr.Error(text, print_exception=False)
 
 

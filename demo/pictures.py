@@ -81,8 +81,7 @@ def viewable(picture: Path, deadline: Deadline = PATIENT) -> Path:
 def cut_out(
     picture: Path, path: Path, pick: Point | None = None, deadline: Deadline = PATIENT
 ) -> tuple[str, ...]:
-    """Write the cut-out of a picture; return its notes, or a warning that is followed by its
-    reasons.
+    """Write the cut-out of a picture; return its notes, or a warning and the reasons.
 
     Args:
         picture: The picture.
@@ -103,9 +102,7 @@ def cut_out(
 
 
 def cutout_file(visitor: Visitor, picture: Path, *more: Any) -> Path:
-    """Return the path of a visitor's cut-out; the file name depends on the picture and on
-    `more`.
-    """
+    """Return the path of a visitor's cut-out, which depends on the picture and on `more`."""
     return visitor.folder / "cutouts" / f"{key(picture.read_bytes(), *more)}.png"
 
 
@@ -116,10 +113,9 @@ def cut_once(
     pick: Point | None,
     deadline: Deadline,
 ) -> tuple[Path, tuple[str, ...], bool]:
-    """Cut out an upload if its cut-out does not exist yet; correct the cut-out by strokes.
+    """Cut out an upload, or correct the cut-out by strokes, unless the result exists.
 
-    Return the path of the cut-out, the reasons for a warning, and whether the object had to be
-    segmented.
+    Return the path of the cut-out, the reasons for a warning, and whether the object was segmented.
 
     Args:
         visitor: The visitor who uploaded the picture.

@@ -25,9 +25,7 @@ class Progress:
     """Content of the progress panel."""
 
     state: str = "waiting"
-    """State of the job: first waiting or running, at the end done, stopped, refused, full or
-    failed.
-    """
+    """First waiting or running; at the end done, stopped, refused, full or failed."""
     message: str = ""
     expected: float = 0.0
     """Predicted duration of the job [s]."""
@@ -47,7 +45,6 @@ class Progress:
     live: list[str] = field(default_factory=list)
     """Files of the finished frames, for the 3D viewer."""
     result: Any = None
-    """Result of the job."""
 
     def take(self, event: Any) -> None:
         """Update the progress from an event of the job; None means only that time has passed."""
@@ -78,9 +75,8 @@ class Progress:
     def duration(self, slowdowns: Sequence[float]) -> float:
         """Predict the duration of the job [s].
 
-        Args:
-            slowdowns: Durations of the latest jobs, each divided by its predicted duration without
-                other load.
+        The `slowdowns` are durations of recent jobs, divided by their predictions without other
+        load.
         """
         if self.course and self.course.ended:
             return self.course.seconds

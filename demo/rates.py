@@ -1,9 +1,8 @@
 """Costs of a run's stages on this machine, measured at the start and corrected by finished runs.
 
-A substep, a frame and a video each have a fixed cost and a cost per particle or pixel. All costs
-are measured before the first visitor comes. Finished runs then correct the costs per particle and
-pixel. To prevent visitors from distorting the costs, small runs are ignored, and the median of the
-latest runs is used. The median may differ from the first measurement only by a limited factor.
+A substep, a frame and a video each have a fixed cost and a cost per particle or pixel. To prevent
+visitors from distorting the costs, small runs are ignored, and the median of the latest runs is
+used, which may differ from the first measurement only by a limited factor.
 """
 
 from __future__ import annotations
@@ -18,9 +17,7 @@ from phy124.budget.cost import Rates, Work
 from phy124.scene import Scene
 
 READ = 0.2
-"""Longest time in which Gaussians are available if they were read from a file instead of generated
-[s].
-"""
+"""Longest time in which Gaussians are read from a file instead of generated [s]."""
 SPREAD = 3.0
 """Largest factor between a corrected cost and the cost measured at the start."""
 WINDOW = 5
@@ -28,9 +25,7 @@ WINDOW = 5
 FIXED = 0.7
 """Largest fraction of a usual run's time that may be attributed to fixed costs."""
 MINIMUM = 0.2
-"""Smallest amount of work of a run that corrects a cost, as a fraction of the work in the first
-measurement.
-"""
+"""Smallest work of a run that corrects a cost, relative to the work in the first measurement."""
 
 
 class Learned:
@@ -39,7 +34,7 @@ class Learned:
     def __init__(self) -> None:
         self.now = Rates()
         self.measured: Rates | None = None
-        """Costs per unit of work in the first measurement; None before the first measurement."""
+        """Costs per unit of work in the first measurement."""
         self._first: Work | None = None
         self._seen: dict[str, deque[float]] = {}
         self._lock = threading.Lock()
@@ -65,12 +60,7 @@ class Learned:
             self._seen = {name: deque([value] * 2, WINDOW) for name, value in costs.items()}
 
     def assume(self, rates: Rates, work: Work) -> None:
-        """Use these costs in a process that cannot measure costs; finished runs correct them.
-
-        Args:
-            rates: Costs per unit of work.
-            work: Amount of work in a typical run.
-        """
+        """Use these costs in a process that cannot measure costs; finished runs correct them."""
         with self._lock:
             self.now = self.measured = rates
             self._first = work
@@ -100,7 +90,6 @@ class Learned:
 
 
 def _observe(report: dict[str, Any], scene: Scene) -> tuple[Work, dict[str, float]]:
-    """Return the amount of work in a finished run (see `Work`), and the time of each stage [s]."""
     spent = {stage["name"]: stage["seconds"] for stage in report["stages"]}
     spent["film"] = spent.get("render", 0.0) + spent.get("encode", 0.0)
     for name in ("generate", "simulate", "deform"):
@@ -111,11 +100,7 @@ def _observe(report: dict[str, Any], scene: Scene) -> tuple[Work, dict[str, floa
 
 
 def _variable(rates: Rates, work: Work, spent: dict[str, float]) -> dict[str, float]:
-    """Return the costs per unit of work that a run had, without the fixed costs.
-
-    The fixed costs of a substep and of a video are subtracted from the times `spent` first. Costs
-    that cannot be determined are left out.
-    """
+    """Costs that cannot be determined are left out."""
     fixed = {
         "particle": rates.substep * work.substeps + rates.node * work.nodes,
         "pixel": rates.video * work.videos,
@@ -136,13 +121,6 @@ def _per(seconds: float, amount: float) -> float | None:
 
 
 def _at_most(fraction: float, seconds: float, amount: float, cost: float) -> float:
-    """Limit the cost of a unit of work, so that all units take at most a part of a stage's time.
-
-    Args:
-        fraction: The largest fraction of the stage's time.
-        seconds: Time that the stage took [s].
-        amount: Number of units of work.
-        cost: The cost per unit of work [s].
-    """
+    """Limit the cost of a unit of work to a fraction of the mean cost of the stage."""
     usual = _per(seconds, amount)
     return cost if usual is None else min(cost, fraction * usual)

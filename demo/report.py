@@ -19,12 +19,7 @@ WIDTH, HEIGHT, TALL, MARGIN = 280, 84, 130, 4
 
 
 def summarise(report: dict[str, Any], promise: Promise) -> list[dict[str, Any]]:
-    """Summarise a run for a visitor: its time, its error, and the largest strain or a problem.
-
-    Args:
-        report: The content of report.json.
-        promise: The error bound of the run.
-    """
+    """Summarise a run for a visitor: its time, its error, and the largest strain or a problem."""
     lines: list[dict[str, Any]] = [{"text": f"It took {format_seconds(report['seconds'])}."}]
     lines.append({"text": describe_error(promise)})
     if report.get("stopped"):
@@ -37,7 +32,6 @@ def summarise(report: dict[str, Any], promise: Promise) -> list[dict[str, Any]]:
 
 
 def _describe_squeeze(volume: float) -> str:
-    """Describe the smallest volume of the material, relative to the volume at rest."""
     if volume > 0.97:
         return "No part of the object was noticeably compressed."
     size = "half its volume" if 0.45 < volume < 0.55 else f"{volume:.0%} of its volume"
@@ -88,7 +82,6 @@ def _accuracy(
 
 
 def _pareto(report: dict[str, Any], promise: Promise, stops: Sequence[Stop]) -> str:
-    """Plot the error against the run time, for the named accuracies and for this run."""
     reached = promise.error
     known = [(stop, stop.error) for stop in stops if stop.error]
     if not known or not reached:
@@ -116,14 +109,12 @@ def _pareto(report: dict[str, Any], promise: Promise, stops: Sequence[Stop]) -> 
 
 
 def _scale(values: Sequence[float], start: float, end: float) -> Any:
-    """Return a function that maps values to positions on a logarithmic axis."""
     low, high = math.log(min(values)), math.log(max(values))
     span = (high - low) or 1.0
     return lambda value: start + (end - start) * (math.log(value) - low) / span
 
 
 def _anchor(x: float) -> str:
-    """Return the SVG text anchor with which a label at `x` stays inside the plot."""
     return "start" if x < WIDTH / 3 else "end" if x > 2 * WIDTH / 3 else "middle"
 
 
@@ -139,7 +130,6 @@ def _stages(report: dict[str, Any]) -> str:
 
 
 def _cut_out(report: dict[str, Any]) -> str:
-    """Format the method that made the cut-out, and the warnings about the cut-out."""
     cutout = report.get("cutout")
     if not cutout:
         return ""
@@ -153,7 +143,6 @@ def _cut_out(report: dict[str, Any]) -> str:
 
 
 def _file(report: dict[str, Any]) -> str:
-    """Format the kind and orientation of a file of Gaussians, and what was removed from it."""
     file = report.get("file")
     if not file:
         return ""
@@ -163,7 +152,6 @@ def _file(report: dict[str, Any]) -> str:
 
 
 def _objects(report: dict[str, Any]) -> str:
-    """Format the sources of several objects, and the largest force between each pair of objects."""
     rows = []
     for name, body in (report.get("objects") or {}).items():
         cutout = (report.get("sources") or {}).get(name, {}).get("cutout")
@@ -196,7 +184,6 @@ def _motion(report: dict[str, Any]) -> str:
 
 
 def _effects(report: dict[str, Any]) -> str:
-    """Format the effects that were computed, with the time of each stage of a substep."""
     rows = [
         (stage["name"], f"{stage['seconds']:.2f} s in {stage['launches']:,}")
         for stage in report.get("substep_stages", [])
@@ -231,7 +218,6 @@ def _table(rows: Sequence[tuple[str, Any]]) -> str:
 
 
 def _plot(x: Sequence[float], y: Sequence[float], label: str) -> str:
-    """Return a small plot, labelled with its smallest and largest value."""
     low, high, span = min(y), max(y), (x[-1] - x[0]) or 1.0
     height = (high - low) or 1.0
     top, bottom = 16, HEIGHT - 14

@@ -39,10 +39,7 @@ class Room:
 
     @property
     def runs(self) -> float:
-        """Largest total size of uploads, runs and exports [bytes].
-
-        It is smaller than the disk space of all visitors, so that new visitors find space.
-        """
+        """Largest total size of uploads, runs and exports [bytes]; new visitors need the rest."""
         return 0.9 * self.all
 
     @property
@@ -121,7 +118,6 @@ class Arrivals:
     """
 
     def __init__(self, folder: Path, room: Room) -> None:
-        """Create the folder for the uploads; `room` limits its size."""
         self.folder, self._room = folder, room
         self._uploads: dict[str, _Upload] = {}
         """Uploads by file name, with the oldest upload first."""
@@ -154,9 +150,7 @@ class Arrivals:
         return upload.size if upload else 0
 
     def drop(self) -> bool:
-        """Remove the oldest upload of the address that stores most bytes; return False if there are
-        no uploads.
-        """
+        """Remove the oldest upload of the address that stores most; return False if none exists."""
         if not self._uploads:
             return False
         sizes: Counter[str] = Counter()

@@ -135,7 +135,6 @@ def routes(studio: Studio) -> list[BaseRoute]:
         )
 
     async def progress(request: Request) -> Response:
-        """Return the progress of a job, and record that the visitor is still present."""
         job = studio.visitors.job(request.path_params["name"])
         if job is None:
             return JSONResponse({"state": "gone"}, 404)
@@ -145,7 +144,6 @@ def routes(studio: Studio) -> list[BaseRoute]:
         return JSONResponse({**data, **wait}, headers={"cache-control": "no-store"})
 
     async def here(request: Request) -> Response:
-        """Record that a page is open; return whether the visitor's files still exist."""
         visitor = studio.visitors.find(cookie_of(request) or "")
         data = {"known": visitor is not None, "visitor": visitor and visitor.folder.name}
         return JSONResponse(data, headers={"cache-control": "no-store"})
@@ -166,12 +164,7 @@ def routes(studio: Studio) -> list[BaseRoute]:
 
 
 def doors(studio: Studio, connections: int) -> list[Middleware]:
-    """Return the middleware, in the order in which a request passes it.
-
-    Args:
-        studio: The state shared by all visitors.
-        connections: Largest number of connections.
-    """
+    """Return the middleware, in the order in which a request passes it."""
     # Imported here, because it imports Gradio, whose environment must be prepared first.
     from .sessions import Asked
 
@@ -262,10 +255,8 @@ def tool_routes(page: Any, studio: Studio) -> list[BaseRoute]:
 def without_cors() -> Iterator[None]:
     """Create apps without Gradio's CORS middleware within this context.
 
-    Gradio's middleware would let other sites read the answers of the page.
-
-    The middleware is not removed after the start, because all middleware would then be built again
-    and would lose its counts of streams and requests.
+    Gradio's middleware would let other sites read the answers of the page. Removing it after the
+    start would build all middleware again, and lose the counts of streams and requests.
     """
     from gradio import routes
 
@@ -299,10 +290,8 @@ def end_on_signals() -> None:
 def reach_itself(host: str) -> None:
     """Let this process reach the page at `host` without a proxy.
 
-    Direct access is necessary because Gradio requests the page when it starts.
-
-    Proxies that httpx cannot use, such as SOCKS without its package, are removed with a warning.
-    Gradio's client would otherwise fail to start.
+    Gradio requests the page when it starts. Proxies that httpx cannot use, such as SOCKS without
+    its package, are removed with a warning, because Gradio's client would fail to start.
     """
     known = ",".join(filter(None, (os.environ.get(name) for name in NAMES))).split(",")
     excepted = [*(name.strip() for name in known), *LOOPBACK, host]
@@ -315,7 +304,6 @@ def reach_itself(host: str) -> None:
 
 
 def _problem() -> str:
-    """Return the reason why httpx cannot use the proxies; empty if it can use them."""
     import httpx
 
     try:

@@ -1,8 +1,8 @@
 """Limit the number and size of Gradio's sessions.
 
-Gradio keeps up to 10,000 sessions until the server ends. Any request with a new name starts a
-session. In each session Gradio describes the page; the description takes 0.3 MB and 0.1 s. Only
-deep links use this description.
+Gradio keeps up to 10,000 sessions until the server ends, and any request with a new name starts
+one. Each session describes the page, which takes 0.3 MB and 0.1 s; only deep links use this
+description.
 """
 
 from __future__ import annotations
@@ -58,8 +58,6 @@ class Session(SessionState):
 
 @dataclass
 class _Origin:
-    """Visitor and address of a session, and the time at which the session was last used [s]."""
-
     visitor: str
     address: str
     used: float
@@ -98,11 +96,7 @@ class Sessions(StateHolder):
                     self._remove(name)
 
     def _make_room(self, address: str) -> None:
-        """If an address has too many sessions, remove one of them, preferably that of an absent
-        visitor.
-
-        If no visitor is absent, the removed session belongs to the visitor with most sessions.
-        """
+        """Remove a session, if possible of an absent visitor, else of the one with most of them."""
         origins = {k: origin for k, origin in self._origins.items() if origin.address == address}
         if len(origins) < ADDRESS:
             return

@@ -22,8 +22,7 @@ SLACK = 64_000
 """Number of bytes by which a request may exceed the size limit of its upload."""
 PREFIX = "PHY124_"
 ALIASES = (("host", "GRADIO_SERVER_NAME"), ("port", "GRADIO_SERVER_PORT"))
-"""Environment variables that Gradio itself reads. Variables with the prefix PHY124_ take
-precedence."""
+"""Environment variables of Gradio; variables with the prefix PHY124_ take precedence."""
 
 
 class Settings(Section):

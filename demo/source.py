@@ -58,7 +58,6 @@ class GaussianFile:
     format: str
     """Title of the file's format."""
     count: int
-    """Number of Gaussians in the file at `path`."""
     axes: Axes
     """The axes of the file that most likely point up and to the front."""
     notes: tuple[str, ...] = ()
@@ -88,7 +87,6 @@ class Choice:
     """What a visitor has chosen for a run."""
 
     name: str
-    """The visitor's name."""
     source: Source | None
     """The source of the object; None if it no longer exists."""
     data: Any
@@ -145,7 +143,6 @@ def open_gaussians(path: Path, out: Path, count: int, deadline: Deadline) -> Gau
 
 
 def _open_gaussians(path: Path, out: Path, count: int) -> GaussianFile:
-    """Read a file of Gaussians in this process."""
     with for_run(count):
         file = PlyFile(str(path), UNTURNED).open()
     kept = thin(file.gaussians, count)
@@ -167,7 +164,6 @@ def _open_gaussians(path: Path, out: Path, count: int) -> GaussianFile:
 
 
 def _draw(gaussians: Gaussians, folder: Path) -> None:
-    """Render the object in all possible orientations."""
     renderer = Renderer(device="cpu")  # not on the GPU, which a run may be using
     for up in candidates(None):
         for reading in candidates(up.up):

@@ -105,9 +105,7 @@ def grids(scene: Scene) -> tuple[int, ...]:
 def on_grid(scene: Scene, cells: int) -> Scene:
     """Return a copy of the scene with another number of cells, for an error study.
 
-    Elastic objects keep the solver that they have in the scene.
-
-    The scene is computed in single precision, which does not affect the error
+    Elastic objects keep the scene's solver. Single precision does not affect the error
     (docs/lab/accuracy.md).
     """
     changes = {"cells": cells, "precision": "float32", "solver": scene.solver}

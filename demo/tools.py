@@ -1,10 +1,9 @@
 """The named endpoints as tools of an MCP server (Model Context Protocol), for agents.
 
 The tools call the functions of the endpoints, so the same checks and limits apply. Gradio's MCP
-server is not used, because it stores pictures before their size is checked. In addition, all agents
-of Gradio's server share one session, and /render cannot use a run of /generate. Source of the
-protocol: modelcontextprotocol.io, revision 2025-06-18, transport "Streamable HTTP" without
-sessions.
+server stores pictures before their size is checked, and its agents share one session, in which
+/render cannot use a run of /generate. Source of the protocol: modelcontextprotocol.io, revision
+2025-06-18, transport "Streamable HTTP" without sessions.
 """
 
 from __future__ import annotations
@@ -53,7 +52,6 @@ if TYPE_CHECKING:
 
 LOG = logging.getLogger("phy124.web")
 FILES = (gr.Image, gr.File)
-"""Classes of the Gradio components whose values are files."""
 FILE = "A data: URL with base64, or the path that POST gradio_api/upload of this server returned."
 RUN = "The name of a run, as generate returned it."
 DESCRIPTIONS = {
@@ -83,10 +81,8 @@ class Tool:
     """JSON schema of each argument of the tool, by the argument's name."""
     required: tuple[str, ...]
     files: frozenset[str]
-    """Arguments whose values are files."""
     needs_run: bool
     outputs: tuple[str, ...]
-    """Names of the results."""
 
     def schema(self) -> dict[str, Any]:
         """Return the JSON schema of all arguments of the tool together."""
@@ -144,7 +140,6 @@ def _tool(function: Any, described: Mapping[str, Any]) -> Tool:
 
 
 def _schema(tool: str, argument: Mapping[str, Any], files: set[str]) -> dict[str, Any]:
-    """Return the JSON schema of an argument, with its default and description."""
     name, kind = argument["parameter_name"], argument["type"]
     if name in files:
         schema: dict[str, Any] = {"type": "string"}
@@ -217,10 +212,7 @@ class ToolServer:
         ]
 
     async def _call(self, name: str, arguments: dict[str, Any]) -> types.CallToolResult:
-        """Call the endpoint of the page that a tool stands for.
-
-        The agent receives errors as sentences. Errors of the server are logged.
-        """
+        """The agent receives errors as sentences; errors of the server are logged."""
         try:
             if name not in self.tools:
                 raise gr.Error(f"There is no tool {name[:40]}. Use {', '.join(self.tools)}.")
@@ -257,7 +249,6 @@ class ToolServer:
         return result
 
     async def _stored(self, tool: Tool, arguments: Mapping[str, Any]) -> dict[str, str]:
-        """Return the path of each file among the arguments; raise gr.Error if one is not a file."""
         sent = {name: arguments[name] for name in tool.files if arguments.get(name) is not None}
         for name, value in sent.items():
             if re.match(r"[a-z]+://", value, re.IGNORECASE):
@@ -269,7 +260,6 @@ class ToolServer:
         return sent
 
     async def _finish(self, steps: Iterator[Any], name: str, context: Any) -> Any:
-        """Report the progress of an endpoint's job, and return the last answer."""
         token = context.meta.progressToken if context.meta else None
         last = None
         try:
@@ -288,7 +278,6 @@ class ToolServer:
                 await to_thread.run_sync(close_now, steps)
 
     def _progress(self, name: str) -> dict[str, Any] | None:
-        """Return the progress of a visitor's latest job."""
         visitor = self.studio.visitors.find(name)
         job = next(reversed(visitor.jobs.values()), None) if visitor is not None else None
         if job is None:
@@ -308,10 +297,7 @@ def _answer(text: str, data: dict[str, Any], *, failed: bool = False) -> types.C
 
 
 def _summary(result: Mapping[str, Any]) -> str:
-    """Return a result as text for the agent: run, links, sentences.
-
-    All other parts of the result are returned as structured data.
-    """
+    """Only the run, links and sentences of a result become text; the rest is structured data."""
     lines = [f"run: {result['run']}"] if "run" in result else []
     lines += [str(result[name]) for name in ("sentence", "error") if result.get(name) is not None]
     lines += [f"[{Path(link).name}]({link})" for link in result.get("files", [])]

@@ -55,11 +55,7 @@ class Present:
     """
 
     def __init__(self, app: ASGIApp, asking: Callable[[str], AbstractContextManager[None]]) -> None:
-        """Wrap the application to which requests are passed on.
-
-        A visitor counts as present within the context `asking(name)`, where `name` is the name in
-        the visitor's cookie.
-        """
+        """Wrap the application; within the context `asking(name)`, a visitor counts as present."""
         self.app, self.asking = app, asking
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -77,8 +73,6 @@ def _is_stream(scope: Scope) -> bool:
 
 @dataclass
 class _Address:
-    """Unfinished requests of an address."""
-
     turns: anyio.Semaphore
     present: int = 0
 
@@ -119,7 +113,6 @@ class Turns:
 
     @asynccontextmanager
     async def _turn(self, name: str) -> AsyncIterator[bool]:
-        """Wait until a request of an address may proceed; yield False at the time limit."""
         address = self._addresses.setdefault(name, _Address(anyio.Semaphore(self.each)))
         if address.present >= PRESENT:
             yield False
@@ -141,13 +134,7 @@ class Streams:
     """Limits the number of streams per cookie, per address and in total, and their duration."""
 
     def __init__(self, app: ASGIApp, most: int, here: Callable[[str | None], bool]) -> None:
-        """Wrap the application whose streams are limited.
-
-        Args:
-            app: The application to wrap.
-            most: Largest number of streams in total.
-            here: Function that returns whether the page of a visitor is open.
-        """
+        """Wrap the application; `here` returns whether the page of a visitor is open."""
         self.app, self.most, self.here = app, most, here
         self._open: list[_Stream] = []
         """Open streams, with the oldest stream first."""
@@ -177,7 +164,6 @@ class Streams:
             self._open.remove(stream)
 
     async def _watch(self, stream: _Stream) -> None:
-        """End a stream when it is old and its page is closed."""
         await asyncio.sleep(LIFE)
         while self.here(stream.cookie):
             await asyncio.sleep(LIFE)
@@ -185,8 +171,6 @@ class Streams:
 
 
 class _Stream:
-    """A stream that the server can end."""
-
     def __init__(self, request: HTTPConnection, send: Send) -> None:
         self.cookie, self.address = cookie_of(request), address_of(request)
         self._send = send
@@ -194,13 +178,11 @@ class _Stream:
         self._ended = self._begun = self._complete = False
 
     def end(self) -> None:
-        """End the stream as if the client had disconnected."""
         self._ended = True
         if self._answer is not None:
             self._answer.cancel()
 
     async def run(self, app: ASGIApp, scope: Scope, receive: Receive) -> None:
-        """Let the application answer until the answer is complete or `end` is called."""
         self._answer = asyncio.ensure_future(app(scope, receive, self._pass_on))
         try:
             await self._answer

@@ -27,21 +27,18 @@ QUIET: dict[str, Any] = {
 }
 """Options of events that are answered immediately.
 
-Gradio ignores further events until the first event is answered, so a button that is pressed twice
-acts only once.
+Gradio ignores further events until the first is answered, so a button that is pressed twice acts
+once.
 """
 EACH: dict[str, Any] = {**QUIET, "trigger_mode": "multiple"}
 """Options of events that Gradio must handle one by one, because each event has different data."""
 LAST: dict[str, Any] = {**QUIET, "trigger_mode": "always_last"}
-"""Options of events without data. If several events wait, Gradio handles only the last of them,
-because its answer shows the latest state.
-"""
+"""Options of events without data; if several events wait, Gradio handles only the last of them."""
 CHANGE = "(globalThis.Phy124 ??= {}).change"
 """JavaScript expression for the number of changes that the visitor has made to the scene.
 
-The number is undefined before the first change. Events that update the forecast send the number of
-changes instead of the value of the forecast panel. The answers repeat the number, so that old
-answers can be ignored.
+The number is undefined before the first change. Events that update the forecast send this number;
+the answers repeat it, so that old answers can be ignored.
 """
 CHANGED = f"(...values) => [...values.slice(0, -1), {CHANGE} = ({CHANGE} ?? 0) + 1]"
 UNCHANGED = f"(...values) => [...values.slice(0, -1), {CHANGE} ?? 0]"
@@ -122,7 +119,6 @@ def _bar() -> tuple[gr.HTML, gr.HTML, gr.Button, gr.Button, gr.Button]:
 
 
 def _wire_picture(studio: Studio, picture: Any, source: Any, others: Any, extras: Any) -> Any:
-    """Connect the events of the picture panels; return the event that reports a new source."""
     picture.choose(handlers.on_choose(studio), None, [picture, source, extras], **EACH)
     picture.correct(handlers.on_correct(studio), [picture, source], picture, **EACH)
     shown = [picture, source]
@@ -154,7 +150,6 @@ def _wire_run(
     forecast: Any,
     results: list[Any],
 ) -> list[Any]:
-    """Connect the events of runs; return the events after which another result may be shown."""
     start, started = handlers.on_generate(studio), [progress, go, cancel]
     for again in (go.click, progress.again):
         again(start, asked, started, **QUIET)

@@ -27,14 +27,13 @@ if TYPE_CHECKING:
 
 ADDRESS = "/gradio_api/upload"
 SUFFIXES = {".png", ".jpg", ".jpeg", ".webp", ".heic", ".heif", ".avif", *FILMS, *object_endings()}
-"""File name suffixes that are kept. Other suffixes are removed from the name."""
+"""File name suffixes that are kept; other suffixes are removed."""
 NOT_READ = {
     ".ksplat": "Save it as .ply or .spz in the program that made it, or convert it with"
     " splat-transform; then send the new file.",
 }
 """Advice for visitors who upload a file with one of these suffixes, which cannot be read."""
 MOST = 4
-"""Largest number of files in a request."""
 
 
 def upload_route(studio: Studio) -> Route:

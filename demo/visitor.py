@@ -71,8 +71,8 @@ class Visitor:
     def remember(self, job: Job) -> None:
         """Store a job, and remove finished jobs if there are more than `JOBS` of its kind.
 
-        Jobs without a result are removed first, then the oldest, so that a result is not lost when
-        many runs are cancelled or many cut-outs are made.
+        Jobs without a result are removed first, then the oldest, so that cancelled runs cost no
+        result.
         """
         self.jobs[job.name] = job
         alike = [each for each in self.jobs.values() if each.kind == job.kind]
@@ -133,8 +133,7 @@ class Visitor:
         self.give_up(room.each)
 
     def give_up(self, most: float, keep: Collection[Path] = ()) -> bool:
-        """Remove exports and then results, the oldest first, until the limit of `most` bytes is
-        met.
+        """Remove exports, then results, the oldest first, until at most `most` bytes are left.
 
         The latest result of each stage and the paths in `keep` are not removed. Return whether the
         limit is met.
@@ -147,9 +146,6 @@ class Visitor:
         return self.measure() <= most
 
     def _oldest(self) -> Iterator[Path]:
-        """Yield the paths of results that may be removed, in the order in which they should be
-        removed.
-        """
         if not self.busy:
             yield self.folder / "live"
         yield from sorted((self.folder / "exports").glob("*/*"), key=change_time)

@@ -1,8 +1,7 @@
 """Files of visitors: each visitor has a folder whose name cannot be guessed.
 
-
-The folder caches results: the result of a stage is stored under a key of all inputs. A stage
-therefore runs again only if an input has changed. Each line shows a path and the inputs of its key:
+The folder caches results under a key of all inputs of a stage, so a stage runs again only if an
+input has changed. Each line shows a path and the inputs of its key:
 
     uploads/NAME                  pictures, videos and files of Gaussians, as sent
     cutouts/KEY.png               picture, brush strokes
@@ -43,17 +42,10 @@ if TYPE_CHECKING:
     from .line import Job
 
 AWAY = 150.0
-"""Time without requests after which a page is assumed to be closed [s].
-
-An open page sends a request every minute.
-"""
+"""Time without requests after which a page counts as closed [s]; it sends one every minute."""
 UNUSED = 16
-"""Largest number of idle visitors per address.
-
-If there are more, the visitors that have been idle longest are removed.
-"""
+"""Largest number of idle visitors per address; those idle longest are removed."""
 UNFINISHED = 3
-"""Largest number of unfinished jobs per visitor."""
 FULL = "Too many visitors use this server at the moment."
 OF_ADDRESS = "Too many visitors from your address are here at once."
 
@@ -231,9 +223,7 @@ class Visitors:
     def check_work(self, visitor: Visitor, most: int) -> None:
         """Check that neither the visitor nor the visitor's address has reached the limit of jobs.
 
-        Args:
-            visitor: The visitor.
-            most: Largest number of waiting jobs. An address may have up to half of this number.
+        An address may have up to half of the largest number `most` of waiting jobs.
 
         Raises:
             InputError: There are too many unfinished jobs.
@@ -261,7 +251,6 @@ class Visitors:
             self._clear()
 
     def _clear(self) -> None:
-        """Remove the folders of removed visitors whose jobs have stopped."""
         with self._lock:
             ended = [visitor for visitor in self._leaving if not visitor.busy]
             self._leaving = [visitor for visitor in self._leaving if visitor.busy]
@@ -272,10 +261,8 @@ class Visitors:
         """Remove idle visitors and unclaimed files, and measure the files of all other visitors.
 
         Visitors whose folder another program has removed are also removed, so that their pages send
-        their files again.
-
-        `late` is the time [s] for which the server could not process requests since the last call,
-        for example because it was suspended. This time does not count as silence of the visitors.
+        their files again. For `late` seconds since the last call, the server could not process
+        requests, for example because it was suspended; this time does not count as silence.
         """
         with self._lock:
             for visitor in self._known.values():
@@ -303,12 +290,6 @@ class Visitors:
         remove(self.root)
 
     def _admit(self, address: str) -> None:
-        """Make space for a new visitor; if necessary, remove an idle visitor.
-
-        Raises:
-            InputError: The limit of visitors is reached, in total or for this address, and no
-                visitor is idle.
-        """
         present = [(n, v) for n, v in self._known.items() if address and v.address == address]
         idle = [(n, v) for n, v in present if not v.has_begun]
         if len(idle) >= UNUSED or (len(present) >= self.room.address and idle):
@@ -319,21 +300,13 @@ class Visitors:
             self._make_room()
 
     def _claim(self, size: float, most: float) -> None:
-        """Free `size` bytes of disk space: remove unclaimed uploads, then idle visitors.
-
-        Raises:
-            InputError: The removals do not free enough disk space.
-        """
+        """Unclaimed uploads are removed first, then idle visitors."""
         while self.used + size > most:
             if not self.arrivals.drop():
                 self._make_room()
 
     def _make_room(self) -> None:
-        """Remove an idle visitor from the address that has most idle visitors.
-
-        Raises:
-            InputError: No visitor is idle.
-        """
+        """The visitor is removed from the address that has most idle visitors."""
         idle = [(n, v) for n, v in self._known.items() if not v.has_begun and v.silence > 1]
         if not idle:
             raise _full(len(self))
@@ -351,11 +324,6 @@ def _full(count: int) -> InputError:
 
 
 def _write(path: Path, file: BinaryIO) -> None:
-    """Write an upload; if that fails, remove what was written.
-
-    Raises:
-        InputError: The disk is full.
-    """
     try:
         with open(path, "wb") as stored:
             shutil.copyfileobj(file, stored)

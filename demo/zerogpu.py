@@ -1,7 +1,7 @@
 """Run jobs on ZeroGPU, the shared GPUs of Hugging Face Spaces, reserved for the predicted time.
 
 ZeroGPU refuses a job whose declared duration exceeds the visitor's remaining quota (about 120 s a
-day for anonymous visitors). ZeroGPU ends a job that takes longer than declared. Each job therefore
+day for anonymous visitors), and ends a job that takes longer than declared. Each job therefore
 declares its predicted time, which is also its limit. Source: huggingface.co/docs/hub/spaces-zerogpu
 and the package `spaces` 0.51.
 """
@@ -20,15 +20,11 @@ from .progress import Done, Measured
 from .work import Order, steps
 
 MARGIN = 1.5
-"""Time that a job declares to ZeroGPU, divided by its predicted time. After 70 % of the declared
-time, no further frame is simulated.
-"""
+"""Declared time of a job divided by its predicted time; frames are simulated for 70 % of it."""
 SHORTEST = 15
 """Shortest time that a job declares to ZeroGPU, including the start of the forked process [s]."""
 COMPILING = 20
-"""Time for compiling CUDA kernels [s]. Until the first job has ended, jobs declare the time for
-compiling to ZeroGPU in addition.
-"""
+"""Time for compiling CUDA kernels, which jobs declare until the first job has ended [s]."""
 REMEDY = "Choose a coarser accuracy or fewer frames, sign in to Hugging Face, or try again later."
 
 Work = Callable[[Order], Iterator[Any]]
@@ -51,11 +47,6 @@ class Durations:
 
 def work_on_gpu(longest: float) -> Work:
     """Return the function that executes an order (the request for a run) on a GPU of ZeroGPU.
-
-    The function wraps `steps`, which executes the order.
-
-    Args:
-        longest: Longest time of a job [s].
 
     Raises:
         InputError: The returned function raises it when ZeroGPU refuses a job.

@@ -106,7 +106,6 @@ class Fits:
         return self._submit(visitor, job, self.line, work)
 
     def _upload(self, name: str, video: Any) -> Path:
-        """Return the visitor's upload that a request names; raise InputError if it is missing."""
         if not video:
             raise InputError("video", "none", "There is no video yet.", "Choose one first.")
         try:
@@ -132,7 +131,6 @@ class Fits:
 
 
 def _watch(job: Job, out: Path) -> None:
-    """Report the progress of a search; raise Cancelled if the visitor stopped the job."""
     job.check()
     state = progress(out)
     if state is None:
@@ -144,6 +142,6 @@ def _watch(job: Job, out: Path) -> None:
 
 
 def _folder(visitor: Visitor, done: Done, upload: Path, asked: FitOptions) -> Path:
-    """Return the folder of a fit; a fit to the same video continues in the same folder."""
+    """A fit to the same video continues in the same folder."""
     options = asked.model_dump(exclude={"seconds"})
     return visitor.folder / "fits" / f"{done.clip.name}-{key(upload.read_bytes(), options)}"

@@ -132,7 +132,6 @@ def search_softness(wanted: Fit, out: Path, deadline: Deadline) -> dict[str, Any
 
 
 def _search(wanted: Fit, out: Path) -> dict[str, Any]:
-    """Search for the stiffness in this process, and write the report to the folder `out`."""
     out.mkdir(parents=True, exist_ok=True)
 
     def plan(expected: Outlook) -> None:
@@ -163,10 +162,7 @@ def in_words(error: InputError) -> InputError:
 
 
 def progress(out: Path) -> tuple[int, int, float] | None:
-    """Return the number of runs made, the expected number of runs, and the expected time [s].
-
-    The result is None before the search starts.
-    """
+    """Return the number of runs made and expected, and the expected time [s]; None at first."""
     try:
         plan = json.loads((out / PLAN).read_text("utf-8"))
     except FileNotFoundError:

@@ -1,6 +1,4 @@
-"""Visitors' videos: declares their options, checks the files, and decodes them to small
-pictures.
-"""
+"""Check visitors' videos, and decode them to small pictures."""
 
 from __future__ import annotations
 
@@ -94,11 +92,7 @@ def read_video(path: Path, out: Path, seconds: float, speed: float, deadline: De
 
 
 def _read_video(path: Path, out: Path, seconds: float, speed: float, processor: float) -> Seen:
-    """Decode a video in this process, and limit the CPU time of the process.
-
-    The decoder inherits the limits on memory and CPU time, so that it ends even if this process is
-    killed.
-    """
+    """The decoder inherits these limits, so that it ends even if this process is killed."""
     if resource is not None:
         most = math.ceil(processor) + 1
         resource.setrlimit(resource.RLIMIT_CPU, (most, most))

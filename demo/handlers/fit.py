@@ -76,7 +76,6 @@ def on_fit_end(studio: Studio) -> Handler:
 
 
 def _panel(studio: Studio, done: Done | None, visitor: Visitor | None) -> dict[str, Any]:
-    """Return the value of the fit panel for a result."""
     try:
         offer = studio.fits.offer(done)
     except InputError as error:
@@ -93,12 +92,10 @@ def _panel(studio: Studio, done: Done | None, visitor: Visitor | None) -> dict[s
 
 
 def _is_of(job: Job, done: Done) -> bool:
-    """Return whether a job is an unfinished fit of this result."""
     return not job.over and job.subject == str(done.clip)
 
 
 def _show_result(result: FitResult) -> dict[str, Any]:
-    """Return the panel's value for a finished fit: summary, figure, video and fitted material."""
     report = result.report
     return {
         "sentences": summarise(report),

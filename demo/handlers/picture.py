@@ -102,7 +102,6 @@ def show_source(made: Source) -> dict[str, Any]:
 
 
 def _doubts(made: Cutout) -> dict[str, str]:
-    """Return a warning about a cut-out, and the reasons; the page shows the reasons on request."""
     return {"warning": "".join(made.doubts[:1]), "doubts": " ".join(made.doubts[1:])}
 
 
@@ -114,10 +113,7 @@ def ways(made: GaussianFile) -> dict[str, Any]:
 
 
 def _cutting(studio: Studio, job: Job) -> dict[str, Any]:
-    """Return the picture panel's value while a job reads the file or cuts out the object.
-
-    For a cut-out, the value contains the usual duration [s].
-    """
+    """For a cut-out, the value contains the usual duration [s]."""
     if job.kind == "read":
         return {"job": job.name, "reads": True}
     seconds = studio.search_seconds
@@ -125,7 +121,7 @@ def _cutting(studio: Studio, job: Job) -> dict[str, Any]:
 
 
 def _picture(job: Job) -> dict[str, Any] | None:
-    """Return the picture that the job cuts out; None if browsers cannot show its format."""
+    """The result is None if browsers cannot show the picture's format."""
     path = Path(job.subject)
     shows = job.kind == "cut" and path.is_file() and is_shown(path)
     return file_of(path) if shows else None
@@ -136,7 +132,6 @@ def _not_cut(error: InputError) -> dict[str, Any]:
 
 
 def _sent_example(studio: Studio, visitor: str, name: Any) -> str:
-    """Store an example picture as an upload of the visitor."""
     path = EXAMPLES / f"{name}.png"
     if path not in EXAMPLES.glob("*.png"):
         raise InputError("image", "none", "This example does not exist.", "Choose another one.")
@@ -190,10 +185,6 @@ def on_view_cut(studio: Studio) -> Handler:
 
 
 def _answer(event: gr.EventData, **values: Any) -> dict[str, Any]:
-    """Return a panel's value that answers an event of this panel.
-
-    The answer repeats the option and the number of the event, so that the panel can ignore answers
-    to older events.
-    """
+    """The answer repeats the event's number, so that the panel can ignore outdated answers."""
     asked = {name: value for name, value in data_of(event).items() if name in ("option", "ask")}
     return {"answer": {**asked, **values}}

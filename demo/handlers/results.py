@@ -64,7 +64,6 @@ FITTED = {
     "fitted.toml": ("Fit: scene", "With the fitted softness"),
     "fit.json": ("Fit: report", "Softness, interval, all runs"),
 }
-"""Files of a fit to a video."""
 
 
 def on_job_end(studio: Studio) -> Handler:
@@ -99,7 +98,6 @@ def on_job_end(studio: Studio) -> Handler:
 
 
 def _with_report(studio: Studio, name: str, shown: Any) -> list[Any]:
-    """Return the result panels with a new report of the displayed run; keep the other panels."""
     panels: list[Any] = list(NOT_SHOWN)
     visitor = studio.visitors.find(name)
     if visitor is not None and _is_there(shown):
@@ -109,9 +107,7 @@ def _with_report(studio: Studio, name: str, shown: Any) -> list[Any]:
 
 
 def _is_there(done: Any) -> bool:
-    """Return whether a result is complete; the clip may be missing although the videos still
-    exist.
-    """
+    """The clip may be missing although the videos still exist."""
     if not isinstance(done, Done):
         return False
     return (done.films / "report.json").exists() and (done.clip / "clip.safetensors").exists()
@@ -134,7 +130,6 @@ def on_load(studio: Studio) -> Handler:
 
 
 def _run_to_show(visitor: Visitor) -> Job | None:
-    """Return the latest run if it is still running, otherwise the latest run that has a result."""
     runs = [job for job in reversed(list(visitor.jobs.values())) if job.kind == "run"]
     if runs and not runs[0].over:
         return runs[0]
@@ -142,7 +137,6 @@ def _run_to_show(visitor: Visitor) -> Job | None:
 
 
 def _restore_source(visitor: Visitor, taken: Job | None) -> tuple[Any, Any, Any]:
-    """Return the picture panel, the source and the extras panel of a returning visitor."""
     if taken is not None and not taken.over:
         return {"job": taken.name, "reads": taken.kind == "read"}, None, gr.skip()
     jobs = (job for job in reversed(list(visitor.jobs.values())) if job.kind in ("cut", "read"))
@@ -153,7 +147,6 @@ def _restore_source(visitor: Visitor, taken: Job | None) -> tuple[Any, Any, Any]
 
 
 def _restore_run(studio: Studio, name: str, run: Job | None) -> tuple[Any, ...]:
-    """Return the progress, the result, the buttons and the result panels of a returning visitor."""
     if run is None:
         return gr.skip(), None, *idle_buttons(), *NOT_SHOWN
     if not run.over:
@@ -177,11 +170,7 @@ def results(studio: Studio, name: str, job: Job) -> list[Any]:
 
 
 def report_of(studio: Studio, job: Job) -> dict[str, Any]:
-    """Return the report panel's value for a finished run, with the measured errors of its scene.
-
-    The value contains three sentences for visitors, the cost of a finer run, and tables for
-    experts.
-    """
+    """Return the report panel's value for a finished run, with the measured errors of its scene."""
     done: Done = job.progress.result
     report, study = done.report, read_study(done.study)
     data = read_scene(done.clip / "clip.safetensors")
@@ -197,7 +186,6 @@ def report_of(studio: Studio, job: Job) -> dict[str, Any]:
 
 
 def _describe_finer(job: Job, stops: list[Stop]) -> str:
-    """Describe the time and error of the next finer accuracy; empty if there is none."""
     name = next_accuracy(job.choice.data) if job.choice else None
     stop = next((each for each in stops if each.name == name), None)
     if stop is None:
@@ -207,7 +195,6 @@ def _describe_finer(job: Job, stops: list[Stop]) -> str:
 
 
 def _earlier(studio: Studio, name: str, shown: Done | None) -> list[dict[str, Any]]:
-    """List a visitor's results without duplicates, the newest result first."""
     visitor, seen, runs = studio.visitors.find(name), set(), []
     for job in reversed(list(visitor.jobs.values()) if visitor else []):
         done = job.progress.result
@@ -231,7 +218,6 @@ def _earlier(studio: Studio, name: str, shown: Done | None) -> list[dict[str, An
 
 
 def _films(done: Done) -> list[Path]:
-    """List the videos of a result, the standard views first."""
     order = [*VIEWS, "orbit"]
     place = {name: number for number, name in enumerate(order)}
     films = sorted(done.films.glob("*.mp4"))

@@ -43,9 +43,7 @@ def on_scene_changed(studio: Studio) -> Handler:
 def answer_change(change: Any, html: str | None) -> dict[str, Any]:
     """Return the value of the forecast panel; the panel ignores answers to earlier changes.
 
-    Args:
-        change: Serial number of the scene's change, counted by the page.
-        html: The forecast as HTML; None if there is no picture.
+    `change` is the serial number of the change; `html` is None if there is no picture.
     """
     return {"change": change, "html": html}
 
@@ -69,8 +67,8 @@ def show_refusal(error: InputError) -> str:
 def show_estimate(estimate: Estimate, *, opened: bool = False) -> str:
     """Format a forecast as HTML: the time, and a pop-up panel with the error and the accuracies.
 
-    The panel is visible at once if `opened` is true. If the time
-    limit will end the run, a warning comes first.
+    The panel is open at first if `opened` is true. If the time limit will end the run, a warning
+    comes first.
     """
     table = stops_table(estimate.stops, estimate.accuracy)
     if estimate.study is not None:
@@ -88,7 +86,6 @@ def show_estimate(estimate: Estimate, *, opened: bool = False) -> str:
 
 
 def _error_line(estimate: Estimate) -> str:
-    """Format the measured error of a scene, or a button that measures the error."""
     kind = ' class="measured"' if estimate.promise.of_scene else ""
     line = f"<p{kind}>{describe_error(estimate.promise, 'Off')}</p>"
     if estimate.study_seconds is None:
@@ -154,7 +151,7 @@ def on_finer(studio: Studio) -> Handler:
 
 
 def next_accuracy(data: Any) -> str | None:
-    """Return a scene at the next finer named accuracy, as plain data; None if there is none."""
+    """Return the name of the next finer accuracy for a scene; None if there is none."""
     cells = Scene.from_data(data).resolution.cells
     return next((name for name, each in PRESETS.items() if each.cells > cells), None)
 

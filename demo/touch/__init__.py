@@ -1,9 +1,8 @@
 """Live runs: a visitor grabs and throws the object in the viewer, over a WebSocket.
 
-Each live run has a process (phy124.live). A relay in this server connects the process with the
-browser (static/touch.js). The process makes the Gaussians, chooses a grid that runs in real time on
-this machine, and simulates. The process sends the browser the nodes of the lattice to which the
-Gaussians are bound.
+Each live run has a process (phy124.live), which a relay in this server connects with the browser
+(static/touch.js). The process chooses a grid that runs in real time on this machine, and sends the
+browser the nodes of the lattice to which the Gaussians are bound.
 """
 
 from .relay import socket_route

@@ -16,10 +16,7 @@ import threading
 from collections import deque
 
 WAITING = 256
-"""Largest number of lines (messages of the browser) that wait to be read.
-
-If there are more, the oldest lines are discarded.
-"""
+"""Largest number of unread lines (messages of the browser); the oldest lines are discarded."""
 
 
 class Line:

@@ -72,11 +72,7 @@ class Lattice:
 def _bound(
     gaussians: Gaussians, rest: NDArray, most: int
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float32]]:
-    """Select at most `most` particles as nodes, and bind each Gaussian to eight of them.
-
-    Return the particles' indices, and for each Gaussian its eight nodes [N,8] and their weights
-    [N,8].
-    """
+    """Return at most `most` particles as nodes, and each Gaussian's nodes and weights [N,8]."""
     nodes = np.arange(len(rest))
     near, weights = find_carriers(gaussians.means, rest)
     used = np.unique(near)
@@ -90,12 +86,11 @@ def _bound(
 class Walls:
     """The floor of a live run and its other boundaries, as solids that move without rotation.
 
-    A frame contains the height of the floor and the displacement of each solid, as float32. The
-    value is NaN if there is no floor, or if the solid is absent.
+    A frame contains the height of the floor and the displacement of each solid, as float32; NaN if
+    there is no floor or the solid is absent.
     """
 
     def __init__(self, live: Live) -> None:
-        """Compute the positions of the walls of a live run."""
         self._live = live
         walls = place_walls(live.scene.boundaries, live.rest)
         self._floors = [wall for wall in walls if wall.is_floor]

@@ -29,19 +29,11 @@ REST = 0.25
 PREPARING = 120.0
 """Time limit for cutting out other views of the object [s]."""
 RATE = 1.6
-"""Real-time factor that the grid must reach.
-
-This real-time factor is above 1, because a browser on the same machine also needs time. The chosen
-grid is therefore a tenth coarser.
-"""
+"""Real-time factor that the grid must reach; a browser on the same machine also needs time."""
 TEXT, BINDING, FRAME, SESSION = b"t", b"b", b"f", b"s"
-"""First letters of the kinds of messages: plain data for the page, a binding, a frame, a
-session.
-"""
+"""First letters of messages: plain data for the page, a binding, a frame, a session."""
 HEAD = struct.Struct("<IIff")
-"""Head of a frame: its index, the number of the last message, the time [s], the real-time
-factor.
-"""
+"""Head of a frame: index, number of the last message, time [s], real-time factor."""
 
 
 @dataclass(frozen=True)
@@ -106,7 +98,6 @@ class Player:
         self._clock.wait()
 
     def _do(self, message: dict[str, Any]) -> None:
-        """Carry out what a visitor's message requests; if it is refused, send the reason."""
         seq, value = message.get("seq"), message.get("value")
         self._heard = seq % 2**32 if isinstance(seq, int) else self._heard
         try:
@@ -143,7 +134,6 @@ class Player:
         self._pause(False)
 
     def _save(self, _: Any) -> None:
-        """Send the session as a scene, after shortening it to the limits."""
         self._paused = True
         scene = self.live.session()
         kept = shorten_session(scene, self._what.most)
@@ -154,17 +144,12 @@ class Player:
         _say(self._line, kind="saved", text=text)
 
     def _tell_notes(self) -> None:
-        """Send the notes that the live run has made since the last call."""
         for note in self.live.notes[self._sent_notes :]:
             _say(self._line, kind="said", text=note)
         self._sent_notes = len(self.live.notes)
 
     def _head(self, text: str) -> bytes:
-        """Encode the head of the message with the binding: constant data of the live run, as JSON.
-
-        The JSON text is padded with spaces to a multiple of four bytes. `text` is a sentence for
-        the visitor.
-        """
+        """The JSON text is padded with spaces to a multiple of four bytes."""
         head = {
             "splats": len(self._lattice.gaussians),
             "nodes": len(self._lattice.nodes),
@@ -180,7 +165,7 @@ class Player:
 
 
 def _newest_targets(lines: list[str]) -> list[dict[str, Any]]:
-    """Return the messages in order. Of successive positions of the hand, keep only the last."""
+    """Of successive positions of the hand, only the last is kept."""
     messages: list[dict[str, Any]] = []
     for message in map(json.loads, lines):
         if messages and message["do"] == "to" == messages[-1]["do"]:

@@ -1,7 +1,7 @@
 """Relay messages between a browser and the process of the browser's live run, within limits.
 
-A browser acknowledges each frame that it has rendered. Up to two frames may be unacknowledged. If
-more frames arrive, only the newest frame is kept, so that a slow browser skips frames.
+A browser acknowledges each frame that it has rendered. Up to two frames may be unacknowledged; of
+further frames, only the newest is kept, so that a slow browser skips frames.
 """
 
 from __future__ import annotations
@@ -41,8 +41,7 @@ PENDING = 1 << 16
 LARGEST = 1 << 26
 """Largest size of a message from the process [bytes]."""
 SAYINGS = 32
-"""Largest number of messages for the visitor that wait to be sent. Further messages are discarded.
-"""
+"""Largest number of unsent messages for the visitor; further messages are discarded."""
 PARTING = 10.0
 """Time limit for sending the browser the message with which a live run ends [s]."""
 BROKEN = "The live run failed. Start it again."
@@ -52,12 +51,8 @@ REPLACED = "The live run ended, because you started another one."
 GONE = 4404
 """Code for closing a socket that has no live run."""
 WORDS = ("grab", "to", "release", "gravity", "soften", "speed", "pause", "reset", "save", "seen")
-"""Allowed values of the field `do` of a message."""
 PER_SECOND, AT_ONCE = 150.0, 300.0
-"""Largest number of messages per second, and in a burst.
-
-A pointer sends one message per screen refresh.
-"""
+"""Largest number of messages per second, and in a burst; a pointer sends one per screen refresh."""
 LARGEST_MESSAGE = 1024
 """Largest length of a message from the browser [bytes]."""
 NOT_UNDERSTOOD = "The page sent an invalid message. Reload it."
@@ -84,7 +79,6 @@ def socket_route(table: Table, settings: Settings) -> WebSocketRoute:
 
 
 async def _part(socket: WebSocket, text: str) -> None:
-    """Send the browser a message that states why the run has ended, and close the socket."""
     await socket.send_text(json.dumps({"kind": "ended", "text": text}))
     await socket.close()
 
@@ -96,7 +90,6 @@ def _call(loop: asyncio.AbstractEventLoop, act: Callable[[], None]) -> None:
 
 
 async def _closed(process: asyncio.subprocess.Process, tasks: list[asyncio.Task[None]]) -> None:
-    """Wait until a process has ended; read its pipes to the end, and close them."""
     await asyncio.gather(*tasks, return_exceptions=True)
     assert process.stdin is not None
     process.stdin.close()
@@ -143,12 +136,11 @@ class Relay:
         await self._goodbye(last)
 
     def _end(self, text: str) -> None:
-        """End the run; later calls of this method have no effect."""
+        """Later calls of this method have no effect."""
         if not self._ended.done():
             self._ended.set_result(text)
 
     async def _guarded(self, part: Coroutine[Any, Any, str]) -> None:
-        """Run a task of the relay; when any task ends, the run ends."""
         try:
             self._end(await part)
         except (WebSocketDisconnect, RuntimeError):
@@ -161,14 +153,12 @@ class Relay:
             self._end(BROKEN)
 
     async def _goodbye(self, text: str) -> None:
-        """Send the reason why the run ended to the browser, if it is still connected."""
         if self._socket.application_state is not WebSocketState.CONNECTED:
             return
         with suppress(RuntimeError, WebSocketDisconnect, asyncio.TimeoutError, OSError):
             await asyncio.wait_for(_part(self._socket, text), PARTING)
 
     async def _hear(self, process: asyncio.subprocess.Process) -> str:
-        """Receive messages from the process; keep only the newest of the unsent frames."""
         assert process.stdin is not None and process.stdout is not None
         order = self._ticket.order
         gaussians = order.gaussians * len(order.scene.names)
@@ -190,13 +180,11 @@ class Relay:
             self._news.set()
 
     def _say(self, text: str) -> None:
-        """Append plain data to the queue of messages for the browser."""
         with suppress(asyncio.QueueFull):
             self._texts.put_nowait(text)
         self._news.set()
 
     async def _tell(self) -> str:
-        """Send the queued messages to the browser."""
         while True:
             await self._news.wait()
             self._news.clear()
@@ -211,7 +199,6 @@ class Relay:
                 await self._socket.send_bytes(FRAME + frame)
 
     async def _listen(self, process: asyncio.subprocess.Process) -> str:
-        """Receive messages from the browser; answer invalid messages with an error message."""
         assert process.stdin is not None
         while True:
             received = await self._socket.receive()
@@ -231,13 +218,12 @@ class Relay:
                 process.stdin.write(json.dumps(message).encode() + b"\n")
 
     def _acknowledge(self, count: Any) -> None:
-        """Record that the browser has rendered frame `count`; earlier frames may be skipped."""
+        """Earlier frames may have been skipped."""
         if isinstance(count, int):
             self._seen = min(max(count, self._seen), self._sent)
         self._news.set()
 
     async def _watch(self) -> str:
-        """End the run when the visitor has been idle too long, or when its time is over."""
         idle, longest = self._settings.touch_idle_minutes, self._settings.touch_minutes
         while True:
             now = time.monotonic()

@@ -24,18 +24,12 @@ WAITS = 60.0
 """Time within which a page must present its ticket [s]."""
 FULL = "This server cannot run more live runs at the same time."
 FPS = 24.0
-"""Frames per second of a live run."""
 ROOM, TIME = 0.5, 0.1
-"""Two fractions that limit the length of a live run that is saved.
-
-The clip and the viewer's file may take the fraction `ROOM` of a visitor's disk space. The motion
-may be as long as the fraction `TIME` of the time limit of a run.
+"""Limits of a saved live run: the fraction of a visitor's disk space for the clip and the viewer's
+file, and the length of the motion as a fraction of the time limit of a run.
 """
 FORCES = 64
-"""Number of forces and boundaries that a saved session may always have.
-
-In the saved scene, each grab and each change of gravity is a force or a boundary.
-"""
+"""Number of forces and boundaries that a saved session may always have, such as grabs."""
 
 
 @dataclass
@@ -43,7 +37,6 @@ class Ticket:
     """The permission of a visitor to start a live run."""
 
     visitor: str
-    """The visitor's name."""
     order: Order
     name: str = field(default_factory=lambda: secrets.token_urlsafe(18))
     """Name of the ticket, which cannot be guessed."""
@@ -66,10 +59,8 @@ class Table:
 
     def __init__(self, most: int) -> None:
         self.most = most
-        """Largest number of live runs at the same time."""
         self._lock = threading.Lock()
         self._tickets: dict[str, Ticket] = {}
-        """Ticket of each visitor."""
 
     def __len__(self) -> int:
         return len(self._tickets)
@@ -105,7 +96,6 @@ class Table:
             return ticket
 
     def _refuse_more(self) -> None:
-        """Raise InputError if the limit of live runs has been reached."""
         taken = sum(ticket.taken for ticket in self._tickets.values())
         if taken >= self.most:
             raise InputError("touch", taken, FULL, "Try again in a few minutes.")

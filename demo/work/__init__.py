@@ -1,9 +1,9 @@
 """The job that Generate starts: cut-out -> Gaussians -> clip -> videos; skips finished stages.
 
 An `Order` is the request for a run. If it has grids, the job computes the error of the scene
-instead: cut-out -> Gaussians -> error. `steps` runs a job in a thread and yields events. When a job
-is requested to stop, it raises `Cancelled` within a substep or a rendered frame. Orders and events
-can be pickled, because on ZeroGPU the job runs in a forked process.
+instead: cut-out -> Gaussians -> error. A job that is requested to stop raises `Cancelled` within a
+substep or a rendered frame. Orders and events can be pickled, because on ZeroGPU the job runs in a
+forked process.
 """
 
 from __future__ import annotations
@@ -80,7 +80,6 @@ def steps(order: Order) -> Iterator[Event | None]:
 
 
 def _run(order: Order, events: queue.SimpleQueue[Any]) -> None:
-    """Execute the order in this thread; the last event is the result or the exception."""
     try:
         order = replace(order, device=pick_device(order.device))
         with hold_device(order):

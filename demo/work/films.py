@@ -1,6 +1,4 @@
-"""Render a clip as videos, as data for the player, as an animated picture, and as a video inside
-the photograph.
-"""
+"""Render a clip as videos, player data, an animated picture and a video in the photograph."""
 
 from __future__ import annotations
 
@@ -86,10 +84,7 @@ def film(order: Order, clips: Path, out: Path, limits: Limits) -> None:
 
 
 def _add_stages(stages: list[dict[str, Any]], others: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Join the times of the stages in the reports of the clip and of the videos.
-
-    The two times of a stage that is in both reports are added.
-    """
+    """The times of a stage that is in both reports are added."""
     joined = {stage["name"]: stage for stage in stages}
     for stage in others:
         before = joined.get(stage["name"], {"seconds": 0.0})["seconds"]
@@ -100,7 +95,6 @@ def _add_stages(stages: list[dict[str, Any]], others: list[dict[str, Any]]) -> l
 def _videos(
     clip: Clip, view: View, order: Order, folder: Path, limits: Limits, watch: Stopwatch
 ) -> list[str]:
-    """Write the videos one by one; return the names of the views for which no time was left."""
     left_out = []
     for number, side in enumerate(view.sides):
         if number and limits.spent > FILMING:
@@ -125,10 +119,7 @@ def _videos(
 def _in_photograph(
     clip: Clip, view: View, order: Order, folder: Path, limits: Limits, watch: Stopwatch
 ) -> dict[str, Any]:
-    """Write the video in the photograph if it is requested and time is left.
-
-    Return the report's entry about this video, or an empty entry.
-    """
+    """Return the report's entry about the video; empty if no video was made."""
     if order.photograph is None or limits.spent > FILMING:
         return {}
 

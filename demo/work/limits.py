@@ -15,12 +15,8 @@ from ..progress import Event
 from .order import Order
 
 DEVICE = threading.Lock()
-"""Lock that a job holds while it uses the device."""
 BEAT = 0.2
-"""Longest interval between two events of a job [s].
-
-The generator of the events can be closed whenever it has yielded an event.
-"""
+"""Longest interval between two events of a job, after which its generator can be closed [s]."""
 
 
 class Limits:

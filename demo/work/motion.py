@@ -51,8 +51,6 @@ def gaussians_of(order: Order, path: Path, tell: Tell = lambda event: None) -> G
 def _make_gaussians(
     order: Order, generator: Any, cutout: Image.Image, number: int, tell: Tell
 ) -> Gaussians:
-    """Generate the Gaussians from picture `number` of an order."""
-
     def progress(_: str, done: int, total: int) -> None:
         tell(Step("generate", number * total + done, (1 + len(order.others)) * total))
 

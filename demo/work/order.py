@@ -1,6 +1,4 @@
-"""Orders. An order is the request for a run that a click on the page sends, with the paths of the
-run's files.
-"""
+"""Orders: requests for runs that a click on the page sends, with the paths of the files."""
 
 from __future__ import annotations
 
@@ -32,16 +30,13 @@ VECTOR, BYTES_SHOWN, BYTES_AT_REST = 12, 10, 200
 BYTES_MOVED = 8
 """Bytes per frame and particle of a clip that stores particles instead of Gaussians.
 
-The clip of an object that is swung takes 7 bytes, and stores fewer particles than the object has
-Gaussians (docs/lab/sizes.md).
+The clip of an object that is swung takes 7 bytes (docs/lab/sizes.md).
 """
 BYTES_OF_FILMS = 2_000_000
 """Approximate size of a run's videos [bytes]."""
 COMPOSING, EACH = 210, 1800
-"""Cost of matching the camera and the colours of a video to a photograph.
-
-The matching takes as long as rendering `COMPOSING` pictures, and `EACH` more pixels for each
-Gaussian.
+"""Cost of matching the camera and the colours of a video to a photograph: the time to render
+`COMPOSING` pictures, and `EACH` more pixels for each Gaussian.
 """
 
 
@@ -50,7 +45,6 @@ class Order:
     """All inputs of a job that a click on the page starts."""
 
     folder: Path
-    """The folder of the visitor."""
     cutout: Path | None
     """The cut-out, a picture with alpha; None for a file of Gaussians."""
     scene: Scene
@@ -66,16 +60,13 @@ class Order:
     gaussians: int = GAUSSIANS
     """Number of Gaussians that `relief` generates from each picture."""
     extras: ExtraInputs = NO_EXTRAS
-    """Optional inputs in addition to the picture or file."""
     others: tuple[Other, ...] = ()
-    """Further objects that are made from pictures."""
     photograph: Path | None = None
     """Picture in which the object is also rendered, in a format that browsers can show."""
     device: str = "auto"
     threads: int | None = None
     """Number of CPU threads; if None, one thread per free core."""
     about: tuple[tuple[str, str], ...] = ()
-    """Further entries of the report."""
     levels: tuple[int, ...] = ()
     """Grids of an error study [number of cells across the object]; empty to render videos."""
 

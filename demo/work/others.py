@@ -25,7 +25,6 @@ class Other:
     """Index among the objects of the scene. The scene's first object has index 0."""
     name: str
     picture: Path
-    """The uploaded picture."""
     cutout: Path
     """The cut-out, which `make_cutout` creates; its file name identifies the content."""
 

@@ -91,13 +91,12 @@ def thin_frame(frame: Frame, chosen: np.ndarray) -> Frame:
 
 
 def _stage(frame: Frame, scene: Scene, rest: np.ndarray) -> Stage | None:
-    """Build the surroundings (stage) of a single frame."""
     clip = replace(Clip.from_frames([frame]), scene={"boundaries": scene.data()["boundaries"]})
     return make_stage(clip, scene.view, rest=rest)
 
 
 def _camera(frame: Frame, scene: Scene) -> Camera:
-    """Place a camera with a margin around the object, because the motion is not known yet."""
+    """A margin is left around the object, because the motion is not known yet."""
     rest = Clip.from_frames([frame])
     clip = Clip(**{**vars(rest), "scene": scene.data()})
     usual = {"size": (GLIMPSE, GLIMPSE), "fit": False}
