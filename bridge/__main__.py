@@ -13,15 +13,13 @@ from contextlib import contextmanager
 
 STOPPED = "bridge: stopped\n"
 ALWAYS = ("SIGINT",)
-"""Signals that end a node even if its parent process made it ignore them. `ros2 launch` sends
-SIGINT."""
+"""Signals that end a node even if its parent made it ignore them; `ros2 launch` sends SIGINT."""
 
 
 # Only light modules are imported above, because Ctrl-C shows a traceback until `importing` runs.
 @contextmanager
 def importing(status: int, text: str = "") -> Iterator[None]:
-    """Within this context, let Ctrl-C and SIGTERM end the process immediately, with a status and a
-    text.
+    """Within this context, let Ctrl-C and SIGTERM end the process with a status and a text.
 
     A KeyboardInterrupt could be lost, because some libraries catch it while they are imported.
     """

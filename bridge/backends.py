@@ -25,19 +25,15 @@ from .sinks.rclpy import RclpySink
 from .topics import Controls
 
 OWN = ("rclpy", "dds", "foxglove")
-"""Names of the backends that are part of the bridge."""
 REQUIREMENTS: dict[str, Callable[[], None]] = {
     "rclpy": require_rclpy,
     "dds": require_cyclonedds,
     "foxglove": require_foxglove,
     "mcap": require_mcap,
 }
-"""Functions that raise InputError if the package for an outlet (kind of output) is missing."""
+"""Functions that raise InputError if the package for an outlet is missing."""
 AUTOMATIC = ("rclpy", "dds")
-"""Backends in the order in which the option `auto` tries them.
-
-Only one backend is used, because frames would otherwise arrive twice.
-"""
+"""Backends in the order in which `auto` tries them; with two, frames would arrive twice."""
 
 
 def sink_names() -> list[str]:
@@ -123,7 +119,6 @@ def open_sink(
 
 
 def _refuse_unsuitable(backend: str, network: bool, clock: bool, ros_args: Sequence[str]) -> None:
-    """Raise InputError for an option that the backend does not have."""
     if network and backend == "rclpy":
         limit = "ROS_AUTOMATIC_DISCOVERY_RANGE sets which machines a node reaches."
         raise InputError("network", network, limit, "Remove the option.")
@@ -138,7 +133,6 @@ def _refuse_unsuitable(backend: str, network: bool, clock: bool, ros_args: Seque
 
 
 def _registered_sink(backend: str, options: Options, **how: Any) -> LiveSink:
-    """Create a sink that a package registers; raise InputError if the object is not a sink."""
     remedy = f"Correct or remove the package that registers it, or use {', '.join(OWN)}."
     try:
         sink = load_plugin("sinks", backend)(options, **how)

@@ -31,12 +31,9 @@ METADATA = "metadata.yaml"
 PROFILE = "ros2"
 ENCODING = "cdr"
 RECORD = "phy124"
-"""Name of the MCAP metadata record that contains the scene, the report and the settings of the
-stream."""
+"""Name of the MCAP metadata record with the scene, the report and the settings of the stream."""
 OWN_RECORD = "rosbag2"
-"""Name of the MCAP metadata record in which rosbag2 stores its metadata and the ROS
-distribution.
-"""
+"""Name of the MCAP metadata record with rosbag2's metadata and the ROS distribution."""
 FOREVER = "\n    sec: 9223372036\n    nsec: 854775807"
 
 
@@ -46,7 +43,6 @@ class Counts:
 
     topics: dict[str, Topic] = field(default_factory=dict)
     messages: dict[str, int] = field(default_factory=dict)
-    """Number of messages by topic name."""
     start: int | None = None
     end: int = 0
     """Times of the earliest and the latest message [ns since 1970]."""
@@ -99,7 +95,6 @@ def recorded_files(path: Path) -> list[Path]:
 
 
 def _listed_files(bag: Path) -> list[Path]:
-    """Return the list `relative_file_paths` of metadata.yaml."""
     text = (bag / METADATA).read_text("utf-8") if (bag / METADATA).is_file() else ""
     found = re.search(r"^ *relative_file_paths:\n((?: *- .*\n)+)", text, re.MULTILINE)
     names = re.findall(r"- [\"']?(.+?)[\"']?$", found[1], re.MULTILINE) if found else []
@@ -165,10 +160,7 @@ def _topic_entry(topic: Topic, count: int) -> str:
 
 
 def _qos(topic: Topic, *, numbers: bool) -> str:
-    """Return a topic's quality of service as a YAML list with a single profile.
-
-    Channels of an MCAP file store the policies as numbers, metadata.yaml stores them as words.
-    """
+    """MCAP channels store the policies as numbers, metadata.yaml stores them as words."""
     form = 0 if numbers else 1
     reliability = (1, "reliable") if topic.reliable else (2, "best_effort")
     durability = (1, "transient_local") if topic.transient_local else (2, "volatile")

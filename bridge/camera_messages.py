@@ -1,8 +1,8 @@
 """Encode the pictures of cameras: images, calibration and transforms, in ROS's conventions.
 
-A camera's optical frame is defined as in REP-103 and in phy124: x right, y down, z forward. In ROS,
-as in OpenCV, the centre of the first pixel is (0, 0). In phy124, the centre of the first pixel is
-(0.5, 0.5). The principal point in a CameraInfo is therefore shifted by -0.5 pixels.
+A camera's optical frame is defined as in REP-103 and in phy124: x right, y down, z forward. The
+centre of the first pixel is (0, 0) in ROS and OpenCV, but (0.5, 0.5) in phy124, so the principal
+point in a CameraInfo is shifted by -0.5 pixels.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ CHANNELS = {
     "mask": ("mono8", "u1"),
     "flow": ("32FC2", "<f4"),
 }
-"""Encoding in `sensor_msgs/msg/Image`, and NumPy type of the values, for each kind of image."""
+"""Encoding in `sensor_msgs/msg/Image`, and NumPy type, for each kind of image."""
 
 
 def optical_frame(options: Options, name: str) -> str:
@@ -46,10 +46,7 @@ def list_topics(options: Options) -> list[Topic]:
 def transform_of(picture: Picture, options: Options, stamp: int) -> dict[str, Any]:
     """Return the TransformStamped from the world to a camera's optical frame.
 
-    Args:
-        picture: The camera's picture.
-        options: Names of the coordinate frames.
-        stamp: Time of the message [ns since 1970].
+    `stamp` is the time of the message [ns since 1970].
     """
     w, x, y, z = quaternions(picture.camera.view[None, :3, :3].transpose(0, 2, 1))[0].tolist()
     return {
@@ -62,10 +59,7 @@ def transform_of(picture: Picture, options: Options, stamp: int) -> dict[str, An
 def encode_picture(picture: Picture, options: Options, stamp: int) -> list[Message]:
     """Return the messages of a camera for a frame, without the camera's transform.
 
-    Args:
-        picture: The camera's picture.
-        options: Kinds of images to send, and names of the coordinate frames.
-        stamp: Time of the messages [ns since 1970].
+    `stamp` is the time of the messages [ns since 1970].
     """
     frame = optical_frame(options, picture.name)
     header = {"stamp": cdr.time(stamp), "frame_id": frame}

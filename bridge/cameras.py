@@ -1,9 +1,8 @@
-"""Renders what cameras see in a clip or a running simulation; `camera_messages` encodes the
-pictures.
+"""Renders what cameras see in a clip or a running simulation.
 
 The pictures are the same as those that `phy124 render` makes. In a running simulation, however,
-later frames are unknown. The cameras are therefore at `view.distance` from the object at rest, and
-the background is plain.
+later frames are unknown, so the cameras are at `view.distance` from the object at rest, and the
+background is plain.
 """
 
 from __future__ import annotations
@@ -56,19 +55,14 @@ class SeenFrame(Frame):
 
 
 class Cameras:
-    """Adds the pictures of all chosen cameras to frames; frames are unchanged if no camera is
-    chosen.
-    """
+    """Adds the pictures of all chosen cameras to frames."""
 
     def __init__(
         self, options: Options, scene: Mapping[str, Any], clip: Clip | None = None
     ) -> None:
         """Choose the cameras whose pictures are added to the frames.
 
-        Args:
-            options: Names of the cameras, and kinds of their images.
-            scene: The complete scene as plain data.
-            clip: The clip that is shown; None for a running simulation.
+        `scene` is the complete scene as plain data; `clip` is None for a running simulation.
 
         Raises:
             InputError: There is no such camera, or the video encoder does not work.
@@ -95,7 +89,6 @@ class Cameras:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """End the threads and the video encoders."""
         self._stack.close()
 
     def look(self, frame: Frame) -> Frame:
@@ -123,9 +116,6 @@ class Cameras:
         return SeenFrame(**values, pictures=tuple(pictures))
 
     def _place(self, clip: Clip, view: View) -> None:
-        """Place the cameras of a view around a clip, and start the threads that draw their
-        pictures.
-        """
         from phy124.rendering.framing import cameras
         from phy124.rendering.render import Renderer
         from phy124.rendering.shine import make_shine
@@ -163,7 +153,6 @@ class Cameras:
         self._pool = self._stack.enter_context(pool)
 
     def _draw_colours(self, place: _Place, frame: Frame) -> dict[str, Any]:
-        """Draw the picture of a camera, and compress the picture."""
         camera = place.at(frame.index)
         # The stage of a running simulation is the same in all frames.
         stage = self._stage and self._stage.at(frame if self._clip else replace(frame, index=0))
@@ -178,7 +167,6 @@ class Cameras:
         return images
 
     def _draw_values(self, place: _Place, frame: Frame) -> dict[str, Any]:
-        """Draw the depth, the mask and the optical flow of a camera."""
         from phy124.rendering.outputs import flow, means_seen
 
         camera, means = place.at(frame.index), frame.gaussians.means
@@ -207,16 +195,12 @@ class Cameras:
 
 @dataclass
 class _Place:
-    """The positions of a camera during a clip."""
-
     name: str
     path: list[Camera]
-    """The camera in each frame of the clip."""
     circles: bool
     """Whether the camera repeats its path instead of stopping at the end."""
     video: H264Encoder | None = None
     before: tuple[Frame, Camera] | None = None
-    """The previous frame, and the camera in that frame."""
 
     @cached_property
     def fixed(self) -> bool:
@@ -263,7 +247,6 @@ def compress(rgb: NDArray[np.uint8]) -> bytes:
 
 
 def _standing_clip(frame: Frame, scene: Scene) -> Clip:
-    """Return a clip of the object at rest; the clip is as long as the scene."""
     clip = Clip.from_frames([Frame(0, 0.0, frame.gaussians)])
     count = scene.time.frames
     still = {

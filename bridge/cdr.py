@@ -1,9 +1,8 @@
 """CDR: the bytes of ROS 2 messages, little-endian XCDR version 1 (OMG DDS-XTypes 1.3, 7.4.1).
 
-All sinks use this encoder, which is based on the definitions in `messages`. A message is a mapping
-from member names to values. Missing members are zero, empty or false, as in ROS. A message whose
-members all have the same primitive type (points, quaternions, colours) may also be passed as a
-sequence of values.
+All sinks use this encoder. A message is a mapping from member names to values; missing members are
+zero, empty or false, as in ROS. A message whose members all have the same primitive type (points,
+quaternions, colours) may also be a sequence of values.
 """
 
 from __future__ import annotations
@@ -19,7 +18,6 @@ from .messages import DEFINITIONS, Field, fields
 from .topics import Message, Topic
 
 ENCAPSULATION = b"\x00\x01\x00\x00"
-"""Header of a little-endian plain CDR payload."""
 PRIMITIVES = {
     "bool": "?",
     "byte": "B",
@@ -34,15 +32,13 @@ PRIMITIVES = {
     "float32": "f",
     "float64": "d",
 }
-"""Code of the module `struct` for each ROS primitive."""
 NANO = 1_000_000_000
 
 
 def encode(name: str, message: Mapping[str, Any]) -> bytes:
     """Return the CDR payload of a message of type `package/msg/Name`, including the CDR header.
 
-    A large `uint8[]` member may be bytes, a memoryview or a contiguous array. The data is copied
-    only once.
+    A large `uint8[]` member (bytes, a memoryview or a contiguous array) is copied only once.
 
     Raises:
         KeyError: The type has no member of this name.
@@ -66,10 +62,7 @@ def time(nanoseconds: int) -> dict[str, int]:
 
 
 class _Body:
-    """The CDR payload of a message while it is encoded.
-
-    The payload is a list of parts, so that large data is copied only once, at the end.
-    """
+    """The payload is a list of parts, so that large data is copied only once, at the end."""
 
     def __init__(self) -> None:
         self.parts: list[Any] = []
@@ -95,7 +88,6 @@ _LENGTH = struct.Struct("<I")
 
 @cache
 def _encoder(base: str) -> Encoder:
-    """Return the function that appends a value of a primitive, string or message type."""
     if base == "string":
         return _string
     if base in PRIMITIVES:
@@ -139,7 +131,6 @@ def _member(member: Field) -> Encoder:
 
 
 def _numbers(member: Field) -> Encoder:
-    """Return an encoder that copies all values of a sequence or array of primitives at once."""
     dtype = np.dtype("<" + PRIMITIVES[member.base])
 
     def encode_numbers(body: _Body, value: Any) -> None:
@@ -166,7 +157,7 @@ def _sequence(member: Field) -> Encoder:
 
 
 def _count(body: _Body, member: Field, count: int) -> None:
-    """Append the length to the payload for a sequence; check the length for an array."""
+    """Append the length of a sequence; check the length of an array."""
     if member.length == 0:
         body.pack(_LENGTH, 4, count)
     elif count != member.length:
@@ -182,10 +173,7 @@ def _zero(member: Field) -> Any:
 
 
 def _flat(name: str) -> list[str]:
-    """Return the names of a message's primitives in wire order.
-
-    The list is empty if the message contains a string, an array or a sequence.
-    """
+    """Return a message's primitives in wire order; none if it has a string, array or sequence."""
     primitives: list[str] = []
     for member in fields(name):
         inner = [member.base] if member.base in PRIMITIVES else []

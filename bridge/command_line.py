@@ -45,10 +45,8 @@ def _command(arguments: list[str], description: str | None) -> Any:
 def split_ros_arguments(arguments: list[str]) -> tuple[list[str], list[str]]:
     """Separate ROS arguments (from `--ros-args` up to `--` or the end) from the other arguments.
 
-    Return the other arguments first, then the ROS arguments.
-
-    A `--` that does not close `--ros-args` ends the options. After such a `--`, `--ros-args` is an
-    ordinary argument.
+    The other arguments are returned first. After a `--` that does not close `--ros-args`,
+    `--ros-args` is an ordinary argument.
     """
     program: list[str] = []
     ros: list[str] = []
@@ -68,7 +66,6 @@ def split_ros_arguments(arguments: list[str]) -> tuple[list[str], list[str]]:
 
 
 def _report(problem: BaseException) -> int:
-    """Explain an exception to the user; return the exit status."""
     ending = failure(problem)
     text = "stopped" if ending.kind is Kind.STOPPED else ending.sentence
     print(f"bridge: {text}", file=sys.stderr)
@@ -80,5 +77,5 @@ def _say(line: str) -> None:
 
 
 def _note(message: Warning | str, *_: object) -> None:
-    """Log a warning as one line, without the line of source code that caused the warning."""
+    """The line of source code that caused the warning is left out."""
     logging.getLogger(__name__).warning(str(message))

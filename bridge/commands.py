@@ -100,7 +100,6 @@ class Record:
         say(f"{sink.frames} frames in {sink.path}")
 
     def _sink(self, **about: Any) -> McapSink:
-        """Create the sink of a recording with metadata."""
         return McapSink(
             self.output or self.source.with_name(f"{self.source.stem}-bag"),
             self.messages,
@@ -197,10 +196,7 @@ class Play:
     def _outlets(
         self, say: Say, duration: float | None, **about: Any
     ) -> Iterator[tuple[LiveSink, list[Sink]]]:
-        """Within this context, keep the live sink and the recordings open.
-
-        Every recording stores the metadata `about`.
-        """
+        """Every recording stores the metadata `about`."""
         backend = choose(self.backend)
         with ExitStack() as stack:
             records: list[Sink] = []
@@ -395,7 +391,6 @@ COMMANDS = {
     "recover": Recover,
     "doctor": Doctor,
 }
-"""Classes of the commands, by the name of the command."""
 
 
 def _status(run: LiveRun | SteeredRun) -> int:

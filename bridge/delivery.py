@@ -17,10 +17,8 @@ FAREWELL = 2.0
 STEP = 0.02
 """Longest wait between two updates of the clock and checks for Ctrl-C [s]."""
 IN_BUFFERS = 1 << 20
-"""Amount of unacknowledged data that is assumed to have arrived [bytes].
-
-The default buffers of a subscriber can store this amount, and an acknowledgement may take 100 ms
-(Cyclone's heartbeat).
+"""Unacknowledged data that is assumed to have arrived [bytes]: a subscriber's default buffers can
+store this amount, and an acknowledgement may take 100 ms (Cyclone's heartbeat).
 """
 log = logging.getLogger(__name__)
 
@@ -28,10 +26,7 @@ log = logging.getLogger(__name__)
 def wait_for_topics(acknowledged: Callable[[str, float], bool], topics: Iterable[str]) -> None:
     """Wait for up to `FAREWELL` in total until the last messages of all topics have arrived.
 
-    Args:
-        acknowledged: Function that waits until the messages of a topic are acknowledged or a number
-            of seconds has passed.
-        topics: Names of the topics.
+    `acknowledged` waits for the messages of a topic, up to a number of seconds.
     """
     until = time.monotonic() + FAREWELL
     for topic in topics:
@@ -70,10 +65,8 @@ class Delivery:
     def before_frame(self, size: int) -> None:
         """Wait if the new frame would replace an unacknowledged frame in the writer's history.
 
-        A subscriber that no longer answers delays only one frame.
-
-        Args:
-            size: Size of the frame [bytes].
+        A subscriber that no longer answers delays only one frame. `size` is the frame's size
+        [bytes].
         """
         full = self._open >= self._depth and self._bytes + size > IN_BUFFERS
         if self._within(LONGEST_WAIT if full and not self._stuck else 0.0):
@@ -100,7 +93,6 @@ class Delivery:
         )
 
     def _within(self, seconds: float) -> bool:
-        """Wait up to `seconds`; return whether all frames are acknowledged."""
         until = time.monotonic() + seconds
         while not self._acknowledged(min(seconds, STEP)):
             if time.monotonic() >= until:

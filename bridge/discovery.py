@@ -89,9 +89,7 @@ class Discovery:
         return cls(reach, peers, domain_id(), network)
 
     def configurations(self) -> tuple[str, ...]:
-        """Return two XML configurations for Cyclone DDS; the second is for machines that have only
-        loopback.
-        """
+        """Return Cyclone DDS configurations; the second is for machines with only loopback."""
         if self.range == "SYSTEM_DEFAULT":
             return (_xml(FAST_DDS),)
         if self.range == "OFF":

@@ -100,7 +100,7 @@ class FrameEncoder:
         return messages + self._pictures(frame, stamp)
 
     def _pictures(self, frame: Frame, stamp: int) -> list[Message]:
-        """Return the messages of the frame's cameras. The messages with transforms come first."""
+        """The messages with transforms come first."""
         pictures = frame.pictures if isinstance(frame, SeenFrame) else ()
         links = {p.name: transform_of(p, self.options, stamp) for p in pictures if not p.fixed}
         messages = [cdr.message(TF, stamp, {"transforms": [*links.values()]})] if links else []

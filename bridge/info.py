@@ -39,8 +39,7 @@ SHORT = {
     "rmem_default": "the limit for Fast DDS: too small for 32,768 points per frame on a "
     "busy machine",
 }
-"""For each system setting of the receive buffer, the consequence of a value below
-`WANTED_BUFFER`."""
+"""For each setting of the receive buffer, the consequence of a value below `WANTED_BUFFER`."""
 
 
 def describe(path: Path) -> list[str]:
@@ -79,9 +78,6 @@ def describe_clip(clip: Clip) -> list[str]:
 
 def describe_recording(path: Path) -> list[str]:
     """Describe a recording: topics, numbers of messages, and whether the recording is complete.
-
-    Args:
-        path: The bag folder or the .mcap file.
 
     Raises:
         InputError: There is no recording at this path, or the package `mcap` is missing.
@@ -139,7 +135,6 @@ def diagnose() -> list[str]:
 
 
 def _optional(package: str, lacking: str) -> str:
-    """Describe whether an optional ROS 2 package is installed."""
     if find_spec(package) is not None:
         return f"{package}: ready"
     distro = os.environ.get("ROS_DISTRO", "jazzy")
@@ -148,7 +143,6 @@ def _optional(package: str, lacking: str) -> str:
 
 
 def _beside_ros(name: str, module: str, newest: int) -> str:
-    """Describe the version of a package that nodes import, and whether ROS 2 accepts it."""
     spec = find_spec(module)
     if spec is None or spec.origin is None:
         return f"{name}: not installed"

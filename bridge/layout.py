@@ -71,12 +71,8 @@ def draco_cloud(frame: Frame, bits: int, header: dict[str, Any]) -> dict[str, An
 
     The decoder of that package writes attribute number i of the Draco data at the offset of field
     number i. Attribute 0 contains the three coordinates, and attribute 1 the four bytes of `rgb`,
-    so `rgb` is the second field. Points that are not finite are removed.
-
-    Args:
-        frame: The frame.
-        bits: Number of bits per coordinate.
-        header: Header of the message.
+    so `rgb` is the second field. Points that are not finite are removed. `bits` is the number of
+    bits per coordinate.
     """
     import DracoPy
 
@@ -137,12 +133,11 @@ def points(frame: Frame, profile: Profile) -> NDArray[Any]:
 
 
 def small_points(frame: Frame) -> tuple[NDArray[Any], bytes]:
-    """Return the points of a frame in the profile `small` [N], and the data needed to decode them.
+    """Return the points of a frame in the profile `small` [N], and 16 bytes to decode them.
 
-    These data are 16 bytes: the centre of the frame's bounding box and the quantisation step.
-
-    The error of a position is at most half a step along each axis. The step is the longest side of
-    the frame's bounding box, divided by 65,534.
+    These bytes are the centre of the frame's bounding box and the quantisation step, which is the
+    longest side of the box divided by 65,534. The error of a position is at most half a step along
+    each axis.
     """
     gaussians = frame.gaussians
     means = gaussians.means.astype(np.float64)
@@ -173,11 +168,9 @@ def packed_rgb(gaussians: Gaussians) -> NDArray[np.uint32]:
 
 
 def evenly(count: int, limit: int | None) -> NDArray[np.intp] | None:
-    """Return the indices of the Gaussians to send if a frame has more than `limit` Gaussians.
+    """Return the indices of `limit` evenly spaced Gaussians of `count`; None if all are sent.
 
-    The result is None if all `count` Gaussians are sent.
-
-    The indices are evenly spaced, so they are the same in every frame and every run.
+    The indices are the same in every frame and every run.
     """
     if limit is None or count <= limit:
         return None
@@ -187,10 +180,7 @@ def evenly(count: int, limit: int | None) -> NDArray[np.intp] | None:
 def splat_array(gaussians: Gaussians, stamp: int, frame: str) -> bytes:
     """Return the CDR payload of a SplatArray.
 
-    Args:
-        gaussians: The Gaussians.
-        stamp: Time of the message [ns since 1970].
-        frame: Name of the coordinate frame.
+    `stamp` is the time of the message [ns since 1970], `frame` the coordinate frame.
     """
     count, numbers = len(gaussians), 3 * gaussians.sh.shape[1]
     layouts = {phase: _layout(phase, frame, numbers) for phase in (0, 4)}
@@ -216,10 +206,7 @@ def _phases(count: int, sizes: dict[int, int]) -> NDArray[np.int64]:
 
 
 def _layout(phase: int, frame: str, numbers: int) -> np.dtype[Any]:
-    """Return the NumPy type of a splat in the payload of a SplatArray, including padding.
-
-    The padding depends on `phase`, the offset of the splat in the payload modulo 8.
-    """
+    """The padding depends on `phase`, the offset of the splat in the payload modulo 8."""
     text = len(frame.encode()) + 1
     gap = -(phase + 12 + text) % 8
     return np.dtype(

@@ -94,8 +94,8 @@ def follow(
     """Send each frame of a running simulation when the frame has been computed and is due.
 
     A simulation that is faster than `speed` is slowed down. A pause also pauses the simulation,
-    after the current frame. A separate thread receives commands at all times. Commands that seek or
-    restart are refused, because they need a finished clip.
+    after the current frame. Commands that seek or restart are refused, because they need a finished
+    clip.
 
     Args:
         frames: The frames, in the order in which they are computed.
@@ -126,11 +126,6 @@ def follow(
 def command(player: Player, text: str, now: float) -> None:
     """Carry out a text command that controls the playback of a clip.
 
-    Args:
-        player: The player.
-        text: The command, such as "seek 0.5".
-        now: Current time [s].
-
     Raises:
         InputError: There is no such command, or the command cannot be carried out now.
     """
@@ -154,8 +149,7 @@ class Pacer:
 
     rate: float | None = None
     loop, dropped = False, 0
-    """Members of `Playback` that are constant, because a running simulation shows each frame once.
-    """
+    """Constant members of `Playback`, because a running simulation shows each frame once."""
 
     def __init__(self, speed: float, clock: Clock) -> None:
         self.speed = checked_speed(speed)
@@ -166,10 +160,7 @@ class Pacer:
         self._lock = threading.Lock()
 
     def wait(self, time: float) -> float:
-        """Return the time until a frame may be shown [s]; infinite while paused.
-
-        `time` is the frame's time in the clip [s].
-        """
+        """Return the time until the frame at `time` [s] may be shown [s]; infinite while paused."""
         with self._lock:
             return self._wait(time, self._clock())
 
@@ -217,7 +208,6 @@ class Pacer:
 
 
 def _attempt(action: Callable[[], None]) -> str | None:
-    """Carry out a command; if it is refused, log and return the reason, and continue playback."""
     try:
         action()
     except InputError as error:
@@ -228,11 +218,6 @@ def _attempt(action: Callable[[], None]) -> str | None:
 
 def number(text: str, values: list[str], known: str = KNOWN) -> float:
     """Return the number that follows the name of a command.
-
-    Args:
-        text: The command.
-        values: The words of the command after its name.
-        known: Description of the known commands, for the error message.
 
     Raises:
         InputError: The command has no number, or more than one.
@@ -269,9 +254,7 @@ class Listener:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Stop listening; raise the error that ended the listening, unless another error was
-        raised.
-        """
+        """Raise the error that ended the listening, unless another error was raised."""
         self._over.set()
         self._thread.join()
         if error is None:
@@ -280,8 +263,7 @@ class Listener:
     def wait(self, seconds: float) -> None:
         """Wait up to `seconds` for a command.
 
-        If an error has ended the listening, such as a KeyboardInterrupt of a sink, raise this
-        error.
+        If an error has ended the listening, such as a KeyboardInterrupt, raise this error.
         """
         self._heard.wait(min(seconds, LONGEST_WAIT))
         self._heard.clear()

@@ -32,7 +32,6 @@ from .sinks.rclpy import RclpySink
 
 INACTIVE = "The node is inactive: activate it first."
 RUNNING = ("speed ", "rate ", "loop ")
-"""First words of the commands that change parameters."""
 log = logging.getLogger(__name__)
 
 
@@ -42,9 +41,7 @@ def main(args: list[str] | None = None) -> None:
 
 
 class Work:
-    """The work of a managed node: callbacks change the state, and `run` acts according to the
-    state.
-    """
+    """The work of a managed node: callbacks change the state, and `run` acts on it."""
 
     def __init__(self, node: Any) -> None:
         """Declare the parameters of a node; raise InputError if a value is invalid."""
@@ -111,7 +108,6 @@ class Work:
             executor.shutdown()
 
     def _obey_inactive(self, text: str) -> str | None:
-        """Carry out a command that changes a parameter; refuse all other commands."""
         if not text.startswith(RUNNING):
             return INACTIVE
         try:
@@ -126,7 +122,6 @@ def managed_player(name: str, *, namespace: str) -> Any:
     from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 
     def attempt(action: Callable[[], None]) -> Any:
-        """Carry out a lifecycle transition; if it fails, log the reason and keep the state."""
         try:
             action()
         except Exception as error:

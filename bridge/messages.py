@@ -171,8 +171,7 @@ DEFINITIONS: dict[str, str] = {
 }
 """Definition of each type by name. Inner messages are named `package/Name`.
 
-The request and the response of a service are the messages `package/srv/Name_Request` and
-`_Response`.
+A service has the messages `package/srv/Name_Request` and `_Response`.
 """
 
 INTEGERS = ("int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64")
@@ -180,8 +179,8 @@ TYPE_IDS = {base: number for number, base in enumerate((*INTEGERS, "float32", "f
 TYPE_IDS |= {"bool": 15, "byte": 16, "string": 17}
 """Numbers of the primitives in descriptions of types (REP-2011)."""
 NESTED, BOUNDED_STRING, ARRAY, SEQUENCE = 1, 21, 48, 144
-"""Numbers of types that are not primitive, in descriptions of types (REP-2011). The number of an
-array or a sequence is the sum of ARRAY or SEQUENCE and the number of the type of its values.
+"""Numbers of other types (REP-2011). The number of an array or a sequence is the sum of ARRAY or
+SEQUENCE and the number of the type of its values.
 """
 
 
@@ -227,7 +226,6 @@ def type_hash(name: str) -> str:
 
 
 def _description(name: str) -> dict[str, Any]:
-    """Return the description of a type in the form of type_description_interfaces."""
     return {"type_name": name, "fields": [_field_description(member) for member in fields(name)]}
 
 
@@ -255,7 +253,6 @@ def _field(line: str) -> Field:
 
 
 def _inner(name: str) -> list[str]:
-    """List all message types inside `name`, each once, in depth-first order."""
     types: list[str] = []
     for member in fields(name):
         if member.base in DEFINITIONS:

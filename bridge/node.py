@@ -37,7 +37,6 @@ from .source import FileWatch, LiveOptions, LiveRun, open_clip
 from .topics import PLAYER
 
 CLIP_PARAMETERS = {**CLIP, **RUNNING, **message_options()}
-"""Parameters of a node that plays a clip."""
 STOPPED_EARLY = 3
 """Exit status of a simulation that stopped early and whose valid frames were saved."""
 log = logging.getLogger(__name__)
@@ -74,8 +73,7 @@ def play_clip(node: Any) -> None:
 def opened_clip(chosen: dict[str, Any]) -> tuple[Clip, Player, Options, bool]:
     """Return the clip, its player, the message options, and whether to publish /clock.
 
-    Args:
-        chosen: Values of all parameters. The values of `CLIP_PARAMETERS` are removed from `chosen`.
+    The values of `CLIP_PARAMETERS` are removed from `chosen`, the values of all parameters.
 
     Raises:
         InputError: A value is missing or invalid, or the clip cannot be read.
@@ -139,7 +137,6 @@ def live_through(
 
 
 def _attempt(node: Any, work: Callable[[Any], None]) -> str | None:
-    """Call `work` with the node. If it fails, log and return the reason; otherwise return None."""
     try:
         work(node)
     except Exception as error:
@@ -160,7 +157,7 @@ def _require(name: str, value: str, example: str) -> None:
 
 
 def _options(chosen: dict[str, Any]) -> Options:
-    """Return the message options from a node's parameters, where 0 stands for None."""
+    """In a node's parameters, 0 stands for None."""
     optional = {
         name: chosen.get(name) or None for name in ("max_points", "epoch", "cameras", "draco")
     }

@@ -15,10 +15,7 @@ from .layout import Profile
 
 LIVE_PROFILE: Profile = "viz"
 LIVE_POINTS = 32_768
-"""Number of Gaussians per frame that subscribers with default settings receive at 30 Hz.
-
-See docs/guide/ros2-messages.md.
-"""
+"""Gaussians per frame that subscribers receive at 30 Hz (docs/guide/ros2-messages.md)."""
 LIVE_SPLATS = 8_192
 """Largest number of Gaussians per frame in the profile `splats`; each Gaussian takes 384 bytes."""
 Image = Literal["rgb", "depth", "mask", "flow", "jpeg", "h264"]
@@ -139,9 +136,7 @@ class Options(Section):
         return tuple(map(camera_name, sides))
 
     def live(self) -> Options:
-        """Return the options with the defaults of live sinks: few enough points to send 30 frames
-        per second.
-        """
+        """Return the options with the defaults of live sinks: few enough points for 30 Hz."""
         chosen = {
             "max_points": live_points(self.profile, self.max_points),
             "profile": self.profile or LIVE_PROFILE,

@@ -32,7 +32,6 @@ from .player import RATES, SPEEDS
 
 Made = TypeVar("Made", bound=Section)
 POINTS = (0, 10_000_000)
-"""Smallest and largest allowed value of `max_points`."""
 
 
 @dataclass(frozen=True)
@@ -40,9 +39,7 @@ class Parameter:
     """A parameter of a node."""
 
     default: Any
-    """Default value, whose type is the type of the parameter. A list is an array of strings, and a
-    tuple is an array of floats.
-    """
+    """Default value, which sets the type; a list means strings, a tuple means floats."""
     description: str
     limits: tuple[float, float] | None = None
     while_running: bool = False
@@ -69,7 +66,6 @@ RUNNING = {
 }
 """Parameters that can be changed while the node runs. Changes take effect immediately."""
 RUNNING_LIVE = {name: RUNNING[name] for name in ("speed", "max_points")}
-"""Parameters that can be changed while a simulation runs."""
 MAKING: dict[str, Any] = {
     "reading": Reading,
     "effort": GeneratorOptions,
@@ -77,10 +73,7 @@ MAKING: dict[str, Any] = {
     "depth": DepthMap,
     "views": OtherViews,
 }
-"""Sections of options for making Gaussians from the source, by their name in `LiveOptions`.
-
-Each field of a section is a ROS parameter of the node.
-"""
+"""Sections of options for making Gaussians, by name in `LiveOptions`; fields are parameters."""
 
 
 def _start(field: FieldInfo) -> Any:
@@ -116,7 +109,6 @@ def section_of(chosen: dict[str, Any], section: type[Made]) -> Made:
 
 
 TEXTS = {"views": [""], "images": ["rgb", "depth"]}
-"""Options that are lists of strings, with their initial values."""
 
 
 def message_options() -> dict[str, Parameter]:
@@ -207,9 +199,7 @@ class Running:
     def __init__(
         self, node: Any, parameters: Mapping[str, Parameter], apply: Callable[[str, Any], None]
     ) -> None:
-        """Watch `parameters`, which are already declared; `apply(name, value)` carries out a
-        change.
-        """
+        """Watch declared parameters; `apply(name, value)` carries out a change."""
         self._node, self._parameters, self._apply = node, parameters, apply
         node.add_pre_set_parameters_callback(self._keep_types)
         node.add_on_set_parameters_callback(self._check)
@@ -230,7 +220,6 @@ class Running:
                 self._node.set_parameters([RosParameter(name, value=values[name])])
 
     def _keep_types(self, asked: list[Any]) -> list[Any]:
-        """Convert numbers to the declared type; `_check` refuses values of any other type."""
         from rclpy.parameter import Parameter as RosParameter
 
         kept = []
@@ -291,10 +280,7 @@ KINDS: dict[type, tuple[str, Callable[[Any], Any]]] = {
     tuple: ("a list of numbers", _numbers),
     list: ("a list of texts", _texts),
 }
-"""Name in messages, and conversion function, for each type.
-
-The function converts the ROS value of a parameter, and returns None if the value has another type.
-"""
+"""Name in messages, and conversion function, for each type; None means another type."""
 
 
 def _example(default: Any) -> str:

@@ -20,8 +20,7 @@ RATES = (0.0, 1000.0)
 LATENESS = 0.15
 """Largest delay at which a frame is still sent [s].
 
-Delayed frames are sent in a burst. At 30 Hz, a burst has at most 5 frames, which is the number that
-subscribers keep.
+At 30 Hz, at most 5 delayed frames are sent in a burst, as many as subscribers keep.
 """
 
 
@@ -30,13 +29,10 @@ class Tick:
     """A frame that is to be shown."""
 
     index: int
-    """Index of the frame in the clip."""
     time: float
     """Time of the frame in the clip [s]."""
     stamp: float
-    """Number of seconds of the clip that were played so far. The value increases even at loops and
-    seeks.
-    """
+    """Seconds of the clip that were played so far, which increase even at loops and seeks."""
 
 
 class Player:
@@ -73,9 +69,7 @@ class Player:
         self.loop, self.paused, self.rate = loop, paused, _checked_rate(rate)
         self.speed, self.lateness = checked_speed(speed), lateness
         self.shown = self.dropped = self.skipped = self.loops = 0
-        """Number of frames shown, number dropped because they were late, number skipped because of
-        `rate`, and number of loops started.
-        """
+        """Numbers of frames shown, frames dropped as late, frames skipped for `rate`, and loops."""
         self.finished = False
         self._next = 0
         self._peek = True  # whether to show the next frame even while paused
@@ -189,9 +183,7 @@ class Player:
         self.rate = _checked_rate(rate)
 
     def stamp_at(self, now: float) -> float:
-        """Return the number of seconds of the clip played until `now`; it stays constant during a
-        pause.
-        """
+        """Return the seconds of the clip played until `now`, which stay constant during a pause."""
         self._clock = max(self._clock, self._stamp or 0.0)
         if not self.paused and not self.finished and self._start is not None:
             next_one = float(self.times[self._next])
@@ -205,7 +197,6 @@ class Player:
         return text + (f", {self.skipped} skipped to keep to {self.rate:g} Hz" if self.rate else "")
 
     def _is_stale(self, now: float) -> bool:
-        """Return whether the next frame is too late and a newer frame is due."""
         if self.paused or self._due_at(self._next + 1, now) > now:
             return False
         return now - self._due_at(self._next, now) > self.lateness
@@ -249,9 +240,7 @@ class Player:
         self._rebase(first, again + missed * period / self.speed)
 
     def _splice(self, time: float) -> None:
-        """After a jump in the clip, make the next time stamp one interval later than the last time
-        stamp.
-        """
+        """After a jump in the clip, the next time stamp is one interval later than the last one."""
         if self._stamp is not None:
             self._offset = self._stamp + self.interval - time
         self._shown_at = -math.inf

@@ -32,11 +32,8 @@ class Recovery:
     """Result of the repair of a recording."""
 
     path: Path
-    """The bag folder or file, which is now complete."""
     frames: int
-    """Number of frames in the recording."""
     repaired: bool
-    """Whether the recording was damaged and has been repaired."""
 
 
 def recover(path: str | os.PathLike[str], output: str | os.PathLike[str] | None = None) -> Recovery:
@@ -118,7 +115,6 @@ def _is_finished(path: Path, source: Path) -> bool:
 
 
 def _refuse_foreign(file: Path) -> None:
-    """Raise InputError if the file does not begin with the signature of MCAP files."""
     from mcap.writer import MCAP0_MAGIC
 
     with open(file, "rb") as stream:
@@ -129,7 +125,6 @@ def _refuse_foreign(file: Path) -> None:
 
 
 def _inspect(file: Path) -> tuple[bool, int]:
-    """Return whether the file is complete and undamaged, and the number of frames in the file."""
     from mcap.records import Channel, Footer, Header, Message
 
     footer, damaged, frames, points = False, 0, 0, None
@@ -161,7 +156,6 @@ def _inspect(file: Path) -> tuple[bool, int]:
 
 
 def _copy(source: Path, destination: Path, name: str) -> bag.Counts:
-    """Copy all complete records into a new, finished file, which will be renamed to `name`."""
     from mcap.writer import CompressionType, Writer
 
     with open(destination, "wb") as stream:

@@ -27,15 +27,11 @@ OK, WARN = 0, 1
 
 @dataclass(frozen=True)
 class Audience:
-    """The number of subscribers, the number of frames that may be lost, and the number of nodes
-    with the same name.
-    """
+    """Numbers of subscribers, of frames that may be lost, and of nodes with the same name."""
 
     subscribers: int
     lost: int
-    """Number of frames that at least one subscriber may not have received."""
     namesakes: int = 0
-    """Number of other nodes with the same name."""
 
 
 class Reports:
@@ -79,9 +75,7 @@ class Reports:
         return [STATUS, DIAGNOSTICS, *([CLOCK] if self._clock else [])]
 
     def change(self, playback: Playback) -> None:
-        """Publish the status and all due reports; the first call starts the diagnostics and the
-        clock.
-        """
+        """Publish the status and due reports; the first call starts diagnostics and the clock."""
         if self._playback is None:
             self._due["diagnostics"] = self._now()
             self._due["clock"] = self._now() if self._clock else math.inf

@@ -64,7 +64,6 @@ def require_rclpy() -> None:
 
 
 def _start(start: Callable[[], Any]) -> Any:
-    """Call `start`, which starts a part of ROS; raise InputError if ROS rejects the arguments."""
     try:
         return start()
     except InputError:

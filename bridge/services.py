@@ -31,7 +31,6 @@ MISSING = (
 )
 INSTALL = "sudo apt install ros-${ROS_DISTRO}-simulation-interfaces"
 FALLBACK = {"step": "next", "reset": "restart"}
-"""Commands that the services send, by the name of the service."""
 
 
 def offer_playback(node: Any, ask: Obey, playback: Callable[[], Playback | None]) -> None:
@@ -41,8 +40,6 @@ def offer_playback(node: Any, ask: Obey, playback: Callable[[], Playback | None]
     """
 
     def attempts(command: Callable[[Any], str]) -> Serve:
-        """Return a service that sends a command, and answers whether it was carried out."""
-
         def serve(request: Any, response: Any) -> Any:
             response.success = ask(command(request)) is None
             return response
@@ -81,7 +78,6 @@ def offer_playback(node: Any, ask: Obey, playback: Callable[[], Playback | None]
 
 
 def _offer_triggers(node: Any, ask: Obey, commands: Mapping[str, str]) -> None:
-    """Offer services without arguments; each of them sends the command of its name."""
     trigger = import_module("std_srvs.srv").Trigger
     for name, command in commands.items():
 
@@ -125,7 +121,7 @@ def fill(message: Any, content: Mapping[str, Any]) -> Any:
 
 
 def _offer_action(node: Any, steps: Callable[[int], Any]) -> None:
-    """Offer the action SimulateSteps; rclpy keeps the action server until the node is destroyed."""
+    """rclpy keeps the action server until the node is destroyed."""
     from rclpy.action import ActionServer, CancelResponse
 
     kind = import_module(f"{PACKAGE}.action").SimulateSteps

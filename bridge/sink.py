@@ -29,7 +29,6 @@ class Sink(Protocol):
     """Receives the frames of a clip or of a running simulation, and sends or records them."""
 
     def __enter__(self) -> Self:
-        """Open the sink."""
         return self
 
     def __exit__(
@@ -56,15 +55,13 @@ class LiveSink(Sink, Protocol):
     """A sink whose viewers can send commands."""
 
     monotonic: bool = True
-    """Whether the time stamps of frames must not decrease. If false, time stamps jump at each loop
-    and seek.
-    """
+    """Whether time stamps must not decrease; if false, they jump at each loop and seek."""
 
     def listen(self, seconds: float, obey: Obey) -> bool | None:
         """Wait up to `seconds` for a command, and pass the command to `obey`.
 
-        Unlike all other methods, `listen` may run in a different thread than `write`. Return True
-        if a command was read and more commands may be waiting.
+        Only this method may run in another thread than `write`. Return True if a command was read
+        and more commands may be waiting.
         """
         del obey
         time.sleep(seconds)
@@ -104,8 +101,7 @@ class Playback(Protocol):
     loop: bool
     shown: int
     dropped: int
-    """Number of frames that were shown, and number of frames that were dropped because they were
-    late."""
+    """Numbers of frames shown, and of frames dropped because they were late."""
     position: float
     """Time in the clip of the last frame shown [s]."""
 

@@ -68,9 +68,7 @@ class LiveOptions:
 
 
 class LiveRun:
-    """A simulation that does not store its frames, because they might not fit into the memory
-    together.
-    """
+    """A simulation that does not store its frames, which might not fit into the memory."""
 
     def __init__(self, source: Path, options: LiveOptions, *, progress: Progress = silent) -> None:
         """Check the source and the scene.
@@ -95,9 +93,7 @@ class LiveRun:
         return self.scene.time.frames
 
     def __iter__(self) -> Iterator[Frame]:
-        """Yield the frames when they are computed; if the run ends early, `stopped` states the
-        reason.
-        """
+        """Yield the frames when they are computed; `stopped` states why the run ended early."""
         from phy124.simulation import Stopped
 
         try:
@@ -150,12 +146,11 @@ def refuse_unopened(source: Path) -> None:
 class FileWatch:
     """Notices if another program writes into a clip that is being played.
 
-    The arrays of a clip stay in the file. If the file became shorter, reading the arrays would end
-    the process. A file that is deleted or replaced by another file stays readable.
+    The arrays of a clip stay in the file; if the file became shorter, reading the arrays would end
+    the process. A file that is deleted or replaced stays readable.
     """
 
     def __init__(self, path: str | Path) -> None:
-        """Store the identity, the size and the change time of the clip's file, if it exists."""
         self._path = path
         self._before = self._state()
 
@@ -172,7 +167,6 @@ class FileWatch:
             raise InputError("clip", self._path, limit, remedy)
 
     def _state(self) -> tuple[int, ...]:
-        """Return the identity, size and change time of the file; empty if there is no file."""
         try:
             state = Path(self._path).stat()
         except OSError:

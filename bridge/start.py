@@ -28,7 +28,6 @@ def live() -> int:
 
 
 def _run(module: str, function: str) -> None:
-    """Import a module of this package, and call one of its functions."""
     with importing(0):
         from importlib import import_module
 

@@ -1,9 +1,8 @@
 """Topics of the bridge, their quality of service (QoS), and the services of its nodes.
 
-Topics are reliable and transient local by default, as recommended in REP-2003 for sensor data.
-Every subscriber is therefore compatible, and a late subscriber gets the last messages. To add a
-topic, declare it here (and in `RECORDED`, if recordings contain it). The module that computes the
-content of a topic also sends the messages: `encoder`, `reports` or `steering/loop`.
+Topics are reliable and transient local by default, as recommended in REP-2003 for sensor data, so
+every subscriber is compatible, and a late subscriber gets the last messages. To add a topic,
+declare it here (and in `RECORDED`, if recordings contain it).
 """
 
 from __future__ import annotations
@@ -78,7 +77,7 @@ DRACO = Topic("/phy124/points/draco", "point_cloud_interfaces/msg/CompressedPoin
 MAIN = (POINTS.name, SPLATS.name)
 """Names of the topic for points and the topic for splats, one of which publishes every frame."""
 RECORDED = {topic.name: topic for topic in (TF_STATIC, POINTS, DRACO, ELLIPSOIDS, SPLATS, TF)}
-"""Topics that a recording may contain, by name, except the topics of contact forces and cameras.
+"""Topics that a recording may contain, except the topics of contact forces and cameras.
 
 The clock is not recorded, because it would conflict with the clock of `ros2 bag play --clock`.
 """
@@ -122,16 +121,13 @@ class Service:
 
     name: str
     type: str
-    """`package/srv/Name`."""
     serve: Callable[[Any], dict[str, Any]]
     """Function that maps a request (with members as attributes) to the members of the response."""
 
 
 @dataclass(frozen=True)
 class Controls:
-    """Topics and services that a sink offers in addition to frames; by default, those of a
-    player.
-    """
+    """Topics and services that a sink offers in addition to frames."""
 
     node: str = PLAYER
     published: tuple[Topic, ...] = ()
@@ -143,7 +139,6 @@ class Controls:
     refused: Callable[[str], object] = lambda sentence: None
     """Function that receives the error message if an input is refused."""
     clock: bool = False
-    """Whether /clock is published."""
     patient: bool = True
     """Whether frames wait for slow subscribers, which also delays the computation of frames."""
     values: Callable[[], Mapping[str, Any]] = dict

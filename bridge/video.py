@@ -1,8 +1,7 @@
 """H.264 video as Foxglove expects it: Annex B, one access unit per picture, no B frames.
 
-ffmpeg encodes without look-ahead. The output of ffmpeg is an AVI stream. Each chunk of the stream
-states its length. The reader therefore knows when a picture is complete, before the next picture is
-sent.
+ffmpeg encodes without look-ahead. The chunks of its AVI stream state their length, so the reader
+knows when a picture is complete, before the next picture is sent.
 """
 
 from __future__ import annotations
@@ -35,13 +34,6 @@ class H264Encoder:
     """Encodes pictures one by one; a key frame with parameter sets is sent once a second."""
 
     def __init__(self, width: int, height: int, fps: float) -> None:
-        """Start the encoder.
-
-        Args:
-            width: Width of the pictures [pixels].
-            height: Height of the pictures [pixels].
-            fps: Number of pictures per second.
-        """
         import imageio_ffmpeg
 
         from phy124.io.video import CODEC, list_source_options
@@ -70,7 +62,6 @@ class H264Encoder:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """End the encoder."""
         self._process.kill()
         for pipe in (self._process.stdin, self._process.stdout):
             _open(pipe).close()

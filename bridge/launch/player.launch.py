@@ -28,8 +28,7 @@ PARAMETERS = {
     "rate": (float, "Largest number of frames per second; 0 means every frame."),
     "loop": (bool, "Start again after the last frame."),
 }
-"""Type and description of each argument. If a value is empty, the value in the parameter file
-applies."""
+"""Type and description of each argument; an empty value means the one in the parameter file."""
 PLAYER = ("clip", "profile", "frame_id", "speed", "rate", "loop")
 SIMULATED = ("source", "scene", "profile", "frame_id", "speed")
 
@@ -63,7 +62,6 @@ def generate_launch_description():
 
 
 def _nodes(context):
-    """Return the node with the launch arguments, and RViz if RViz is installed."""
     values = {name: LaunchConfiguration(name).perform(context) for name in PARAMETERS}
     if bool(values["clip"]) == bool(values["source"]):
         # launch reports a nonzero exit status only if an exception is raised.

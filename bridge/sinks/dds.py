@@ -35,11 +35,8 @@ MANY = 1000
 log = logging.getLogger(__name__)
 DEPTH = 10
 AT_ONCE = 16
-"""Largest number of messages or requests that are read from a topic at a time."""
 HEADER = struct.Struct("<Qq")
-"""Header of a service request: identity of the client, and number of the request. The header has 16
-bytes, so that the members of the request are aligned.
-"""
+"""Header of a service request: client and number; 16 bytes, so that the members are aligned."""
 
 
 class DdsSink:
@@ -230,7 +227,6 @@ class DdsSink:
         self.send(Message(DISCOVERY, 0, encode(DISCOVERY.type, info)))
 
     def _namesakes(self) -> int:
-        """Return the number of other participants that have a node with this name."""
         identity = self._participant.guid.bytes
         for sample in self._nodes.take(MANY):
             if hasattr(sample, "gid") and bytes(sample.gid.data) != identity:
@@ -257,7 +253,6 @@ def require_cyclonedds() -> None:
 
 
 def _domain(domain: int, discovery: Discovery) -> Any:
-    """Create a DDS domain with the first configuration that works."""
     from cyclonedds.core import DDSException
     from cyclonedds.domain import Domain
 
@@ -284,13 +279,6 @@ class DdsServices:
     """The services that the node of a DDS sink offers to ROS 2."""
 
     def __init__(self, participant: Any, services: Sequence[Service], node: str) -> None:
-        """Offer services to the programs in a DDS domain.
-
-        Args:
-            participant: The participant in the DDS domain.
-            services: Services to offer.
-            node: Name of the node.
-        """
         self._offered = [_offer(participant, service, node) for service in services]
 
     @property

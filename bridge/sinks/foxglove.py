@@ -66,7 +66,6 @@ class FoxgloveSink:
         self._duration, self._host = duration, host
         self._controls = controls
         self.clients = Clients(controls or Controls(), self.post)
-        """Receiver of the messages and service calls that viewers send."""
         self._node = (controls or Controls()).node
         self._viewers = 0
         self._reports: Reports | None = None
@@ -107,7 +106,6 @@ class FoxgloveSink:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Disconnect all viewers."""
         self.clients.closed = True
         for channel in self._channels.values():
             channel.close()
@@ -171,9 +169,7 @@ class FoxgloveSink:
         self._viewers -= topic == self._encoder.main.name
 
     def newcomer(self, topic: str) -> None:
-        """Record a new subscriber, and send it the latest message; a server thread calls this
-        method.
-        """
+        """Record a new subscriber in a server thread, and send it the latest message."""
         self._viewers += topic == self._encoder.main.name
         names = {t.name for t in self._encoder.topics if full_name(t.name, self._node) == topic}
         self.post(
@@ -183,8 +179,7 @@ class FoxgloveSink:
         )
 
     def control(self, playing: bool, speed: float, seek: int | None, request: str) -> None:
-        """Carry out a viewer's command from the playback controls; a server thread calls this
-        method.
+        """Carry out a viewer's command from the playback controls, in a server thread.
 
         Args:
             playing: True to play, False to pause.
@@ -206,7 +201,6 @@ class FoxgloveSink:
         return self._encoder.epoch, self._encoder.stamp(self._duration)
 
     def _steering_options(self) -> dict[str, Any]:
-        """Return the server's options for a run that viewers steer."""
         from foxglove.websocket import Capability
 
         if self._controls is None:
@@ -234,7 +228,6 @@ class FoxgloveSink:
 
 
 def _listener(sink: FoxgloveSink) -> Any:
-    """Return the listener that the server calls from its threads."""
     from foxglove.websocket import PlaybackCommand, ServerListener
 
     class Listener(ServerListener):

@@ -29,7 +29,6 @@ OFTEN = 0.2
 Job = Callable[[Obey], object]
 INTEGERS = ("byte", "int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64")
 WORDS = {bool: "boolean", str: "string", int: "integer", float: "number"}
-"""JSON Schema type of each Python type."""
 REMEDY = "Send JSON with the members of the message; missing members are zero or empty."
 
 
@@ -37,12 +36,6 @@ class Clients:
     """Receives the messages and service calls of all viewers."""
 
     def __init__(self, controls: Controls, post: Callable[[Job], None]) -> None:
-        """Prepare to receive messages and calls from viewers.
-
-        Args:
-            controls: The topics to subscribe to, and the services to offer.
-            post: Function that passes a job to the thread that calls `listen`.
-        """
         self._post, self._node = post, controls.node
         heard = {full_name(t.name, self._node): (t, hear) for t, hear in controls.heard.items()}
         self._heard: dict[str, tuple[Topic, Hear | None]] = {**heard, COMMAND.name: (COMMAND, None)}
@@ -51,7 +44,6 @@ class Clients:
         self._waiting: deque[tuple[str, bytes]] = deque(maxlen=BACKLOG)
         self._refused = controls.refused
         self._flooded = False
-        """Whether the loss of messages has been reported."""
         self.closed = False
         """Whether the sink was closed, so that calls of services are no longer answered."""
 
@@ -147,7 +139,7 @@ class Clients:
 
 
 def _wake(obey: Obey) -> None:
-    """Do nothing; a job that calls this function wakes the waiting thread."""
+    """A job that calls this function wakes the waiting thread."""
     del obey
 
 
@@ -206,7 +198,6 @@ def _value(base: str, value: Any, where: str) -> Any:
 
 
 def _kind(base: str) -> tuple[tuple[type, ...], Any]:
-    """Return the Python types that are accepted for a primitive, and the primitive's zero value."""
     if base == "bool":
         return (bool,), False
     if base == "string":

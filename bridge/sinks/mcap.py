@@ -30,8 +30,7 @@ Compression = Literal["none", "lz4", "zstd"]
 CHUNK = 1 << 20
 """Size of a chunk [bytes]; a larger frame is stored in a separate chunk."""
 OLDER = ".old"
-"""Suffix that an existing recording in a bag folder has until the new recording is complete.
-"""
+"""Suffix of an existing recording in a bag folder until the new recording is complete."""
 log = logging.getLogger(__name__)
 
 
@@ -171,7 +170,6 @@ class McapSink:
             raise self._failure() from error
 
     def _put_aside(self) -> None:
-        """Rename the existing recording, which is removed when the new recording is complete."""
         sweep_parts(self.file.parent)
         if self._single:
             return  # the new file has a temporary name until it is complete
@@ -207,7 +205,6 @@ class McapSink:
         )
 
     def _write_record(self, report: dict[str, Any]) -> None:
-        """Write the bridge's metadata: message options, scene and, at the end, the run's report."""
         options = self._encoder.options.model_dump_json()
         parts = {"scene": self._scene, "report": report}
         about = {name: json.dumps(part) for name, part in parts.items() if part}
@@ -229,10 +226,7 @@ class McapSink:
             self._older_metadata.unlink(missing_ok=True)
 
     def _failure(self) -> Incomplete:
-        """Close the file after a disk error, keep all flushed data, and return the error to raise.
-
-        A file without a frame is removed, and the older recording gets its name back.
-        """
+        """A file without a frame is removed, and the older recording gets its name back."""
         try:
             self._stream.close()
         except OSError:
@@ -250,7 +244,6 @@ class McapSink:
         )
 
     def _remove(self) -> None:
-        """Remove the new file, and give the older recording its name back."""
         with contextlib.suppress(OSError):  # the disk may have been removed
             self.file.unlink(missing_ok=True)
             if self._single:

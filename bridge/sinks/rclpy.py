@@ -74,7 +74,6 @@ class RclpySink:
         self._received = 0  # number of messages on all subscribed topics
 
     def __enter__(self) -> RclpySink:
-        """Start the node, and offer topics and services."""
         from rclpy.executors import SingleThreadedExecutor
 
         with ExitStack() as stack:
@@ -165,7 +164,6 @@ class RclpySink:
         self._reports.change(playback)
 
     def _declare(self, values: dict[str, Any]) -> None:
-        """Declare missing parameters, and apply the values that --ros-args gives them."""
         new = {
             name: replace(parameter, default=values[name])
             for name, parameter in self._parameters.items()
@@ -175,7 +173,6 @@ class RclpySink:
             self._apply(name, value)
 
     def _apply(self, name: str, value: Any) -> None:
-        """Apply the change of a parameter."""
         if name == "max_points":
             self._encoder.limit(live_points(self._encoder.options.profile, value))
         elif value != self._values[name]:
@@ -208,7 +205,6 @@ class RclpySink:
         return math.inf if profile.history.name == "KEEP_ALL" else profile.depth
 
     def _say_goodbye(self) -> None:
-        """Wait for the last frames, unless ROS has already been shut down."""
         if self._node.context.ok():
             self._delivery.farewell()
             # In a short run, these messages may be acknowledged after the frames.
@@ -225,9 +221,7 @@ class RclpySink:
 
     @contextmanager
     def _until_shutdown(self) -> Iterator[None]:
-        """Within this context, turn errors that follow a shutdown of ROS into a
-        KeyboardInterrupt.
-        """
+        """Errors that follow a shutdown of ROS become a KeyboardInterrupt."""
         try:
             yield
         finally:

@@ -1,8 +1,7 @@
 """Objects of a steered run as entities of simulation_interfaces (1.x and 2.x).
 
 An entity's pose is its centre of mass and the rotation that best fits the motion of its particles.
-A run has a fixed set of objects, so requests to spawn or delete objects are refused by result
-codes.
+Requests to spawn or delete objects are refused by result codes.
 """
 
 from __future__ import annotations
@@ -38,13 +37,11 @@ class Code(IntEnum):
 INVALID_POSE = 101
 """Additional result code of SetEntityState."""
 DYNAMIC, STATIC = 4, 5
-"""Categories of `simulation_interfaces/msg/EntityCategory`: for moving objects, and for held
-objects."""
+"""Categories of `simulation_interfaces/msg/EntityCategory`: moving objects, held objects."""
 EMPTY, BOX, CONVEX, SPHERE = range(4)
 """Types of `simulation_interfaces/msg/Bounds`."""
 FARTHEST = 5.0
-"""Largest distance of a new position from the middle of the scene, as a multiple of the object's
-size."""
+"""Largest distance of a new position from the middle of the scene [object sizes]."""
 FIXED = "The objects of a run are fixed; {} of entities is not supported. Start `live` with --more."
 
 
@@ -52,7 +49,6 @@ class Entities:
     """Services that list, describe and move the entities (objects and props)."""
 
     def __init__(self, run: SteeredRun, options: Options) -> None:
-        """Store the run, and the options, which contain the name of the world's frame."""
         self._run, self._options = run, options
 
     def list(self, request: Any) -> dict[str, Any]:
@@ -120,9 +116,7 @@ class Entities:
         }
 
     def set_state(self, request: Any) -> dict[str, Any]:
-        """Move an entity as a rigid body (SetEntityState); a request of version 1.x sets pose and
-        twist.
-        """
+        """Move an entity as a rigid body (SetEntityState); version 1.x sets pose and twist."""
         name, state = request.entity, request.state
         before = self._motions.get(name)
         if before is None:
@@ -170,9 +164,7 @@ class Entities:
         return result(Code.NOT_FOUND, f"There is no {name!r}, only {', '.join(self._motions)}.")
 
     def _overlapping(self, bounds: Any) -> set[str] | None:
-        """Return the entities with at least one point within the bounds; None if the bounds are
-        empty.
-        """
+        """The result is None if the bounds are empty."""
         if bounds.type == EMPTY:
             return None
         first, second = (np.array([p.x, p.y, p.z]) for p in bounds.points[:2])
@@ -188,7 +180,6 @@ class Entities:
         return overlapping
 
     def _asked_motion(self, before: Motion, state: Any, *, pose: bool, twist: bool) -> Motion:
-        """Return the motion that a request asks for; raise InputError if the motion is invalid."""
         frame = state.header.frame_id
         base = np.eye(4) if not frame else self._run.inputs.pose(frame)
         motion = before

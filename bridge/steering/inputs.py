@@ -1,7 +1,7 @@
 """Receives messages that push or grab the object, and applies them between two frames.
 
-If several messages arrive between two frames, only the newest wrench in each coordinate frame and
-the newest grab are applied. The work therefore does not depend on the number of messages.
+Of several messages between two frames, only the newest wrench in each coordinate frame and the
+newest grab are applied, so the work does not depend on the number of messages.
 """
 
 from __future__ import annotations
@@ -28,20 +28,14 @@ import time
 MOST = 32
 """Largest number of coordinate frames in which wrenches may act between two frames of the run."""
 READER_DEPTH = 100
-"""Queue depth of the reader of /tf_static, which limits how many nodes can publish on this topic.
-The queue contains a single message of each node.
-"""
+"""Queue depth of the reader of /tf_static, which keeps one message of each publishing node."""
 EVERY = 1.0
-"""Shortest interval between two lines in the log [s], because peers may send thousands of
-messages.
-"""
+"""Shortest interval between two log lines [s]; peers may send thousands of messages."""
 log = logging.getLogger(__name__)
 
 
 def centre_frame(options: Options) -> str:
-    """Return the name of the coordinate frame at the object's centre of mass; its axes are the
-    world's.
-    """
+    """Return the name of the frame at the object's centre of mass, with the axes of the world."""
     return f"{options.frame_id}_com"
 
 
@@ -87,7 +81,6 @@ class Inputs:
         self._grab: Any = None
         self._let_go = False
         self.wrenches = 0
-        """Number of wrenches received so far."""
         if options.parent_frame:
             self._transforms.hear(_static(options))
 
@@ -136,9 +129,7 @@ class Inputs:
         self._attempt(lambda: self._transforms.hear(message))
 
     def pose(self, frame: str) -> np.ndarray:
-        """Return the pose of a coordinate frame in the world [4,4]; raise InputError if it is
-        unknown.
-        """
+        """Return the pose of a frame in the world [4,4]; raise InputError if it is unknown."""
         return self._transforms.pose(frame)
 
     def apply(self) -> None:
@@ -178,10 +169,7 @@ class Inputs:
         )
 
     def _hold(self) -> None:
-        """Grab the object, or move the grab's target.
-
-        A point in an object's coordinate frame selects that object.
-        """
+        """A point in an object's coordinate frame selects that object."""
         frame = self._grab.header.frame_id
         name = self._objects.get(frame)
         place = self._transforms.pose(frame) if name is None else self._at(name)
@@ -192,13 +180,11 @@ class Inputs:
             self._live.grab(target, object=name)
 
     def _at(self, name: str) -> np.ndarray:
-        """Return the pose of an object's centre, with the axes of the world [4,4]."""
         place = np.eye(4)
         place[:3, 3] = self._live.centres.get(name, np.full(3, np.nan))
         return place
 
     def _attempt(self, action: Callable[[], None]) -> None:
-        """Apply an input. If the run refuses it, add the reason to the remarks and continue."""
         try:
             # A huge number may overflow to infinity, which the run refuses.
             with np.errstate(over="ignore", invalid="ignore"):
@@ -208,7 +194,6 @@ class Inputs:
 
 
 def _numbers(field: str, point: Any) -> np.ndarray:
-    """Return the three numbers of a vector or point; raise InputError if they are invalid."""
     from phy124.live.limits import check_vector
 
     return np.array(check_vector(field, (point.x, point.y, point.z)))
@@ -228,15 +213,11 @@ def _static(options: Options) -> Any:
 
 
 class Remarks:
-    """Counts the messages about refused inputs; they are logged at intervals and shown in the
-    diagnostics.
-    """
+    """Counts the messages about refused inputs, and logs them at intervals."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self.count = 0
-        """Number of messages about refused inputs so far."""
         self.last = ""
-        """The latest message about a refused input."""
         self._clock, self._logged = clock, -math.inf
 
     def add(self, sentence: str) -> None:

@@ -25,10 +25,9 @@ if TYPE_CHECKING:
 IDLE = 3
 """Number of reads without a message after which the queue is assumed to be empty."""
 READING, SHARE = 0.02, 0.25
-"""Two limits on the time for which messages are read before each frame. The longer limit applies.
-
-The limit is never shorter than `READING` [s]. `SHARE` is the limit as a fraction of the time since
-messages were last read, because more messages wait in a slow run.
+"""Limit on the time for which messages are read before each frame: `READING` [s] or, if this is
+longer, the fraction `SHARE` of the time since the last reading. More messages wait in a slow
+run.
 """
 FLOOD = "Messages arrive faster than they are read: only the newest of each topic are kept."
 
@@ -88,7 +87,6 @@ def steer(
     listening, outlets = _Listening(run, sink), (sink, *records)
 
     def show(frame: Frame) -> None:
-        """Send a frame to the sink and the recordings, together with the frame's messages."""
         seen = look(frame)
         for outlet in outlets:
             outlet.write(seen)
@@ -115,18 +113,14 @@ def steer(
 
 
 class _Listening:
-    """Reads inputs from the sink, and executes text commands."""
-
     def __init__(self, run: SteeredRun, sink: LiveSink) -> None:
         self._run, self._sink = run, sink
         self._last = time.perf_counter()
 
     def once(self, seconds: float) -> bool:
-        """Wait up to `seconds` for an input; return whether more may be waiting."""
         return bool(self._sink.listen(seconds, self._obey))
 
     def briefly(self) -> None:
-        """Read the inputs that have arrived, for a limited time."""
         inputs, idle = self._run.inputs, 0
         before, start = inputs.wrenches, time.perf_counter()
         until = start + max(READING, SHARE * (start - self._last))
@@ -137,7 +131,6 @@ class _Listening:
         self._last = time.perf_counter()
 
     def during(self, seconds: float) -> None:
-        """Read inputs for `seconds`."""
         until = time.perf_counter() + seconds
         while (left := until - time.perf_counter()) > 0:
             self.once(min(left, LONGEST_WAIT))
@@ -157,10 +150,7 @@ def contact_messages(live: Live, options: Options, seconds: float) -> list[Messa
     Torques on a wall are about the centre of mass of all objects. Torques on an object are about
     that object's centre of mass. The header names the coordinate frame.
 
-    Args:
-        live: The run, after a frame.
-        options: Names of the coordinate frames, and the epoch.
-        seconds: Time of the frame since the epoch [s].
+    The time `seconds` of the frame counts from the epoch.
     """
     stamp, centre = stamp_of(options, seconds), live.centre
     when, whole = cdr.time(stamp), centre_frame(options)

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 from enum import IntEnum
 
 WORDS = ("play", "pause", "toggle", "next", "restart")
-"""Commands that have no value."""
 DURATIONS = (0.001, 3600.0)
 """Shortest and longest duration of a wrench [s]."""
 KNOWN = f"{', '.join(WORDS)}, step COUNT, speed FACTOR"
@@ -50,10 +49,7 @@ def checked_duration(name: str, seconds: float) -> float:
 
 
 class SteeredRun:
-    """A live run that other programs push, pause, step and reset.
-
-    Sinks show such a run like a playback.
-    """
+    """A live run that other programs push, pause, step and reset; sinks show it as a playback."""
 
     rate: float | None = None
     loop, dropped = False, 0
@@ -98,16 +94,11 @@ class SteeredRun:
         )
         self.state = State.PAUSED if paused else State.PLAYING
         self.stopped: str | None = None
-        """Reason why the run ended early, or None."""
         self.speed = checked_speed(speed)
         self.shown, self.position = 0, 0.0
         self.show: Callable[[Frame], object] = lambda frame: None
-        """Function that receives each frame.
-
-        The time of the frame counts from the start or the last reset.
-        """
+        """Function that receives each frame; times count from the start or the last reset."""
         self.changed: Callable[[], object] = lambda: None
-        """Function that is called when the state or the speed has changed."""
         self._ticks, self._note = 0, ""
 
     @property
@@ -220,7 +211,6 @@ class SteeredRun:
         self.advance()
 
     def _say_notes(self) -> None:
-        """Add a new note of the run to the remarks."""
         newest = self.live.notes[-1] if self.live.notes else ""
         if newest != self._note:
             self._note = newest

@@ -92,7 +92,6 @@ def make_live(
 
 
 def _object(source: Path, options: SteeredOptions, device: str) -> tuple[Gaussians, Scene]:
-    """Return the object at rest, and its scene."""
     from phy124.progress import silent
     from phy124.scene import Scene, parse_changes
 

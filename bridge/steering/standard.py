@@ -1,8 +1,4 @@
-"""Standard services of simulators (simulation_interfaces 1.x and 2.x) for a steered run.
-
-A run has a fixed scene. The run supports states, steps and resets, and `entities` describes its
-objects.
-"""
+"""Standard services of simulators (simulation_interfaces 1.x and 2.x) for a steered run."""
 
 from __future__ import annotations
 
@@ -48,9 +44,7 @@ class Standard:
     """The standard services of a run."""
 
     def __init__(self, run: SteeredRun, options: Options, *, action: bool) -> None:
-        """Store the run and the options; if `action` is set, peers can also step by a ROS
-        action.
-        """
+        """Store the run; if `action` is set, peers can also step by a ROS action."""
         self._run, self._action = run, action
         self._entities = Entities(run, options)
 

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from phy124.errors import InputError
 
 MOST = 1000
-"""Largest number of coordinate frames."""
 DEEPEST = 64
 """Largest number of transforms between a frame and the root of its tree."""
 Pose = NDArray[np.float64]
@@ -55,7 +54,6 @@ class Transforms:
         return np.linalg.inv(here) @ there
 
     def _up(self, frame: str) -> tuple[str, Pose]:
-        """Return the root of the tree with a coordinate frame, and the frame's pose in the root."""
         pose = np.eye(4)
         for _ in range(DEEPEST):
             if frame not in self._links:
@@ -67,7 +65,6 @@ class Transforms:
 
 
 def _pose(name: str, transform: Any) -> Pose:
-    """Return the matrix of a `geometry_msgs/msg/Transform`."""
     q, t = transform.rotation, transform.translation
     quaternion, place = np.array([q.x, q.y, q.z, q.w]), np.array([t.x, t.y, t.z])
     length = float(np.linalg.norm(quaternion))
