@@ -1,8 +1,7 @@
 """Couples a liquid to bodies of other materials, which another solver moves.
 
 For the liquid, a body is a wall, whose shape is computed from the particles of the body. The bodies
-move in substeps between the steps of the liquid. During these substeps, the liquid's pressure acts
-on the particles at the bodies' surfaces. Momentum is conserved exactly.
+move in substeps between the steps of the liquid.
 """
 
 import math
@@ -30,23 +29,18 @@ from phy124.mpm.stage import Repeatable
 from phy124.mpm.tracks import Tracks
 
 STAGE = "bodies"
-"""Name under which reports list the time to couple bodies with the liquid."""
 FIRST = 8
-"""Number of steps in which a new body's surface is shifted until it encloses the body's volume."""
+"""Number of steps in which the surface of a new body is fitted to the body's volume."""
 MOST = 0.7
-"""Largest distance by which a body's surface is shifted so that it encloses the body's volume
-[cells].
-"""
+"""Largest shift of a body's surface [cells]."""
 LIGHT = 0.05
-"""A body is light if its density, relative to the density of the liquid, is below this value."""
+"""Density relative to the liquid below which a body is light."""
 YIELDED = 0.004
-"""Strain at which the surface of a body with a yield stress is assumed to yield."""
 
 
 Expect = Callable[[float], tuple[wp.array, wp.array]]
-"""Function that returns the mean velocities [m/s] and velocity gradients [1/s] of the particles in
-a step. The argument of the function is the duration of the step [s]; the pressure of the last step
-acts during this step.
+"""Returns the mean velocities [m/s] and velocity gradients [1/s] of the particles in a step of a
+duration [s].
 """
 
 
@@ -77,41 +71,37 @@ class Bodies(Kept):
         """Allocate the arrays for the particles of the bodies.
 
         Args:
-            model: The particles of the bodies; particles of a liquid may precede or follow them.
+            model: The particles of the bodies and of the liquid.
             state: State of the particles.
             grids: Grid of each body; the grid's window covers the body.
             free: Freely moving rigid solids; they are numbered before the bodies.
             work: Object that sums the work of the pressure on the bodies.
-            expect: Function that predicts the mean motion of the particles in a step; None: the
-                present motion.
+            expect: Predicts the mean motion of the particles in a step; None: the present motion.
         """
         self._model, self._state, self._grids = model, state, grids
         self._expect, self._motion, self.work = expect, (state.v, state.C), work
         if expect is not None:  # The next motion is predicted under the last pressure.
             self.kept = (*self.kept, "limit", "pushes", "turns")
         self.numbers = work.numbers
-        """Indices of the bodies that are not liquid."""
         t, device, count = types(model.real), model.device, len(self.numbers)
         self.free, self.first = FreeSolids(model, free), len(free.all)
-        """Freely moving rigid solids, and their number."""
         self._moments = Moments(model, [model.particles(body) for body in self.numbers])
         self.pushes = wp.zeros(len(model), dtype=t.vec3, device=device)
         self.turns = wp.zeros(len(model), dtype=t.mat33, device=device)
-        """Accelerations of the particles by the pressure of the liquid, and the resulting rates of
-        change of the velocity gradients C.
+        """Accelerations of the particles by the pressure [m/s^2], and the resulting rates of change
+        of C [1/s^2].
         """
         self._most = wp.zeros(1, dtype=model.real, device=device)
         self._volumes = wp.zeros(3, dtype=wp.float64, device=device)
         self._rims = wp.zeros(6, dtype=wp.vec3d, device=device)
         self._shifts = np.full(model.bodies, np.nan)
-        """Distance by which the surface of each body is shifted outwards, so that it encloses the
-        body's volume [cells].
+        """Outward shift of each body's surface, which makes the enclosed volume equal to the body's
+        volume [cells].
         """
         self.limit = 0.0
         """Largest acceleration of a body's particle by the pressure of the liquid [m/s^2]."""
         self._kick, self._pull = 0.0, np.zeros(3)
         self.pushed = False
-        """Whether forces act on the bodies' particles in the substeps."""
         self.period = math.inf
         """Shortest vibration period of bodies below a liquid [s]."""
         self.light = math.inf
@@ -120,19 +110,15 @@ class Bodies(Kept):
         self._stiffness = wp.array(stiff, dtype=wp.float64, device=device)
         every = self.first + count
         self._before = np.zeros((0, 2, 3))
-        """Momentum and angular momentum of each solid and body at the start of the last step."""
         self._films = np.zeros((every, 2, 3))
-        """Impulses and moments of thin films of liquid on each solid and body in the last step;
-        `impulses` includes them.
+        """Impulses and moments of thin films of liquid in the last step; `impulses` includes them.
         """
         self._centres, self._forces = np.zeros((every, 3)), np.zeros((every, 2, 3))
         """Centre of mass of each solid and body [m]; and the mean force [N] and torque [N m] on it
         in the last step, without the liquid's force and the weight.
         """
         self._impulses = np.zeros((every, 2, 3))
-        """Impulse of the liquid on each solid and body in the last step, and the moment of this
-        impulse.
-        """
+        """Impulse and moment of the liquid on each solid and body in the last step."""
 
     @property
     def names(self) -> list[str]:
@@ -154,7 +140,7 @@ class Bodies(Kept):
         self.light /= math.sqrt(factor)
 
     def join(self, solids: Solids, mobility: wp.array) -> None:
-        """Store the arrays of all solids, in which the bodies are the last entries."""
+        """Store the arrays of all solids; the bodies are the last entries."""
         self._solids, self._mobility = solids, mobility
         device, shape = self._model.device, (len(mobility), 2)
         self._present = wp.zeros(shape, dtype=wp.vec3d, device=device)
@@ -167,7 +153,7 @@ class Bodies(Kept):
                 self.light = min(self.light, period)
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Return the stages that apply the pressure of the liquid to the bodies in each substep."""
+        """Return the stages that apply the pressure to the bodies in each substep."""
         kernel = kernels.make_body_push(model.real)
 
         def record(grid: Grid) -> wp.Launch | None:
@@ -182,24 +168,21 @@ class Bodies(Kept):
         return [Stage(STAGE, record, by_run=True, limit=limit), *self.free.attach(tracks)]
 
     def finish(self) -> None:
-        """End the substeps of the bodies.
-
-        The last pressure no longer counts in the upper bound of the particles' acceleration.
-        """
+        """End the substeps of the bodies."""
         self.work.end(self.pushes, self.turns, self._drift)
         self.free.finish()
         self.limit = 0.0
 
     def fit(self, cells: Cells) -> None:
-        """Allocate the arrays for the cells of a new window."""
+        """Allocate the arrays for a new window."""
         t, device, count = types(self._model.real), self._model.device, cells.count
         self._sheet = wp.zeros(count, dtype=t.vec4, device=device)
         self._full, self._level = (
             wp.zeros(count, dtype=self._model.real, device=device) for _ in range(2)
         )
         self._shares, self._vacant = wp.zeros_like(cells.shares), wp.zeros_like(cells.eighths)
-        """Two arrays as they would be without bodies: fractions of B-splines inside walls, and open
-        fractions of the octants of cells (2 x 2 x 2 per cell).
+        """Without bodies: fractions of B-splines inside walls, and open fractions of octants of
+        cells.
         """
         self.pressed, self._change, self._contact = (
             wp.zeros(count, dtype=t.vec3, device=device) for _ in range(3)
@@ -211,8 +194,8 @@ class Bodies(Kept):
         Args:
             cells: The cells.
             walls: The walls.
-            ahead: Time [s] by which the bodies' positions are extrapolated. Half a step gives a
-                leapfrog scheme; without extrapolation, a floating body would gain energy.
+            ahead: Time [s] by which the bodies' positions are extrapolated. Without extrapolation,
+                a floating body would gain energy.
         """
         self._ahead = ahead
         model, state, real = self._model, self._state, self._model.real
@@ -247,9 +230,6 @@ class Bodies(Kept):
                     launch.launch()
 
     def _shape(self, cells: Cells, body: int, box: wp.array, count: int) -> None:
-        """Compute distances from a body's surface, which is shifted so that it encloses the body's
-        volume.
-        """
         real, shift = self._model.real, float(np.nan_to_num(self._shifts[body]))
         self._volumes.zero_()
         inputs = [shift, cells.lattice, cells.window, box, self._full, self._shares]
@@ -263,9 +243,10 @@ class Bodies(Kept):
             self._shifts[body] = min(max(shift, -MOST), MOST)
 
     def plan(self, kick: float, pull: NDArray[np.float64]) -> None:
-        """Predict the motion of solids and bodies in a step without the liquid's forces.
+        """Predict the motion of solids and bodies in a step of `kick` [s] without the liquid's
+        forces.
 
-        The step takes `kick` [s]; `pull` [3] is the uniform acceleration, m/s^2.
+        `pull` [3] is the uniform acceleration [m/s^2].
         """
         motions = [*self.free.motions(), *self.motions()]
         expected = motions
@@ -299,17 +280,16 @@ class Bodies(Kept):
         self._kick, self._pull = kick, pull
 
     def motions(self) -> list[Motion]:
-        """Return the rigid motions of the bodies, without those of the freely moving solids."""
+        """Return the rigid motions of the bodies."""
         return self._moments.read(self._state.x, self._state.v, self._state.C)
 
     def _other(
         self, index: int, motion: Motion, kick: float, pull: NDArray[np.float64]
     ) -> tuple[NDArray, NDArray]:
-        """Return the impulse [N s] of all forces on a body except those of the liquid, and its
-        moment.
+        """Return the impulse [N s] and moment of all forces on a body except those of the liquid.
 
         A force other than the weight is included only as far as it acted in both of the last two
-        steps. An impact is therefore not assumed to continue.
+        steps, so an impact is not assumed to continue.
         """
         weight = np.stack([motion.mass * pull, np.zeros(3)])
         if not len(self._before) or self._kick == 0:
@@ -327,7 +307,7 @@ class Bodies(Kept):
         return other, turn
 
     def yields(self, cells: Cells, clock: wp.array, worker: int, real: Any) -> Repeatable | None:
-        """Return a worker's kernel launch that adds the bodies' surfaces to the pressure equation.
+        """Return a worker's launch that adds the bodies' surfaces to the pressure equation.
 
         Args:
             cells: The cells.
@@ -343,8 +323,8 @@ class Bodies(Kept):
         return cells.record(worker, kernels.make_yield(real), inputs, outputs)
 
     def answer(self, walls: Walls, step: wp.array, model: Model) -> wp.Launch | None:
-        """Return the kernel launch that writes the motions of solids and bodies after the pressure
-        has acted.
+        """Return the launch that writes the motions of solids and bodies after the pressure has
+        acted.
         """
         inputs = [self._solids.first(walls), self._solids.scale, self._solids.plans]
         inputs += [self._solids.centres, self._mobility]
@@ -359,7 +339,7 @@ class Bodies(Kept):
         Args:
             cells: The cells.
             tracks: Quantities that change over time.
-            sums: Sums of the walls' impulses, to which the impulses of films are added.
+            sums: Sums of the walls' impulses.
             densities: Relative densities in the cells; None if the density is uniform.
             drift: Duration over which the pressure acts on the bodies [s].
         """
@@ -395,7 +375,6 @@ class Bodies(Kept):
     def _press_film(
         self, cells: Cells, tracks: Tracks, sums: wp.array, densities: wp.array | None, index: int
     ) -> None:
-        """Add the pressure of the film between a body and fixed walls."""
         real, solid = self._model.real, self.first + index
         region = self._region(cells, self.numbers[index])
         count, box = int(np.prod(region.size)), region.box
@@ -412,10 +391,8 @@ class Bodies(Kept):
         self._launch(films.make_film(real), count, inputs, outputs)
 
     def _vibration(self, index: int) -> float:
-        """Return the vibration period [s] of a body on a wall; infinite if liquid surrounds the
-        contact.
-
-        The period is four times the time in which a wave crosses the body.
+        """Return the vibration period [s] of a body on a wall, four times the time in which a wave
+        crosses the body; infinite if liquid surrounds the contact.
         """
         _, rims, areas = np.asarray(self._rims.numpy(), np.float64).T
         dry = (areas > 0) & (rims < 2 * np.sqrt(areas))
@@ -426,7 +403,7 @@ class Bodies(Kept):
         return 4 * float(height) / _wave_speed(self._model, body)
 
     def push_out(self, cells: Cells, walls: Walls, model: Model, x: Any) -> wp.Launch | None:
-        """Return the kernel launch that moves particles of the liquid out of the bodies.
+        """Return the launch that moves particles of the liquid out of the bodies.
 
         Args:
             cells: The cells.
@@ -439,7 +416,6 @@ class Bodies(Kept):
         return model.launch(shapes.make_body_push_out(model.real), len(x), inputs, [x])
 
     def _region(self, cells: Cells, body: int) -> Region:
-        """Return the cells that a body may fill or change."""
         grid = self._grids[body]
         region = Region(np.asarray(grid.size, int) + 2, self._model.device)
         region.place(np.asarray(grid.low, int) - 1 - cells.low)
@@ -450,13 +426,11 @@ class Bodies(Kept):
 
 
 Advance = Callable[[float], None]
-"""Function that moves the bodies up to a time [s]."""
 
 
 def _stiffness(model: Model, body: int) -> float:
-    """Return the stiffness of a body per surface cell [N/m], from the speed of elastic waves in it.
-
-    A body that yields is softer. A surface that is too stiff would create energy.
+    """Return the stiffness of a body per surface cell [N/m]. A surface that is too stiff would
+    create energy.
     """
     if body in model.held:
         return math.inf
@@ -467,18 +441,16 @@ def _stiffness(model: Model, body: int) -> float:
 
 
 def _size(model: Model, body: int) -> tuple[float, float]:
-    """Return the volume [m^3] and the mass [kg] of a body."""
     run = model.particles(body)
     volume, mass = (np.sum(a.numpy()[run], dtype=np.float64) for a in (model.volume, model.mass))
     return float(volume), float(mass)
 
 
 def _wave_speed(model: Model, body: int) -> float:
-    """Return the speed of elastic waves in the softest material of a body [m/s]."""
+    """Return the smallest speed of elastic waves in a body [m/s]."""
     return min(material.wave_speed() for material in _materials(model, body))
 
 
 def _materials(model: Model, body: int) -> list[Any]:
-    """Return the materials of a body's particles."""
     laws = {group.law.name for group in model.groups if group.body == body}
     return [material for material in model.materials if material.device_law.name in laws]

@@ -1,4 +1,4 @@
-"""Cells: arrays of a liquid in a window of the staggered grid that follows the particles."""
+"""Arrays of a liquid in a window of the staggered grid that follows the particles."""
 
 import math
 from collections.abc import Sequence
@@ -18,28 +18,22 @@ from phy124.mpm.stage import Repeatable
 MARGIN = 10
 """Margin between the particles and the border of a new window [cells]."""
 LEAST = 5
-"""The window is replaced by a larger window if the margin around the particles is smaller than this
-[cells]. A step moves particles by up to two cells, and the B-splines around each particle reach two
-cells further.
+"""Smallest margin around the particles before a larger window is allocated [cells]. A step moves
+particles by up to two cells, and B-splines reach two cells further.
 """
 LARGEST = 32
-"""The window is replaced by a smaller window if the margin around the particles is larger than this
-[cells].
-"""
+"""Largest margin around the particles before a smaller window is allocated [cells]."""
 MOST_CELLS = 2**22
-"""Largest number of cells in a window, which holds even if `Outliers.allowed` is larger."""
+"""Largest number of cells in a window."""
 BULK = 0.01
-"""Fraction of the particles that may be outside on each side of a window with a limited number of
-cells.
+"""Largest fraction of the particles outside each side of a window with a limited number of cells.
 """
 FAR = 1e3
-"""Value that is stored as the distance to the nearest wall if no wall is near [cells]."""
+"""Distance that is stored if no wall is near [cells]."""
 
 
 ROOM = 4
-"""A solid changes the distances and open fractions of cells up to this distance from its surface
-[cells].
-"""
+"""Distance from a solid's surface up to which the solid changes cells [cells]."""
 
 
 def needed_cells(lower: NDArray, upper: NDArray, dx: float) -> NDArray:
@@ -49,14 +43,7 @@ def needed_cells(lower: NDArray, upper: NDArray, dx: float) -> NDArray:
 
 def restrict(x: NDArray, dx: float, most: float) -> tuple[NDArray, NDArray, int]:
     """Return the lower and upper corner [3], [3] of a box [m], and the number of particles outside
-    the box's window. This window has at most `most` cells.
-
-    The longest sides of the particles' bounding box are shortened to a common length.
-
-    Args:
-        x: Positions of the particles [P,3], m.
-        dx: Width of a cell [m].
-        most: Largest number of cells.
+    the box's window of at most `most` cells.
     """
     x = x.astype(np.float64)
     lower, upper = np.quantile(x, (BULK, 1 - BULK), axis=0)
@@ -68,8 +55,8 @@ def restrict(x: NDArray, dx: float, most: float) -> tuple[NDArray, NDArray, int]
 
 
 def _shorten(sides: NDArray, most: float) -> NDArray:
-    """Shorten the longest sides of a box to a common length, so that the product of the sides [3]
-    is at most `most`.
+    """Shorten the longest sides of a box to a common length, so that their product is at most
+    `most`.
     """
     ordered = np.sort(sides)
     for kept in range(3):
@@ -80,14 +67,13 @@ def _shorten(sides: NDArray, most: float) -> NDArray:
 
 
 class Region:
-    """A box of cells in a window; the box may move, but has a constant size."""
+    """A movable box of cells in a window."""
 
     def __init__(self, size: NDArray, device: Any) -> None:
         self.size = size
-        """Number of cells of the box along each axis."""
         corners = np.stack([np.zeros(3, int), size]).astype(np.int32)
         self.box = wp.array(corners, dtype=wp.vec3i, device=device)
-        """First cell of the box among the cells of the window, and the size of the box."""
+        """First cell of the box, and the size of the box."""
 
     def place(self, low: NDArray) -> None:
         """Move the box so that its first cell is `low` [3]."""
@@ -95,16 +81,12 @@ class Region:
 
 
 class OverActive:
-    """A launch on the CPU that has one thread per active cell of a worker.
+    """A launch on the CPU with one thread per active cell of a worker.
 
-    More threads would waste time, because an idle thread takes as long as the work of a cheap
-    kernel on one cell.
+    An idle thread takes as long as the work of a cheap kernel on one cell.
     """
 
     def __init__(self, launch: wp.Launch, ends: NDArray[np.int32]) -> None:
-        """Store the launch, and an array that contains the first active cell and the cell after the
-        last.
-        """
         self.recorded, self._ends = launch, ends
 
     def launch(self) -> None:
@@ -120,9 +102,6 @@ class Cells:
     """The arrays of a window: sums, velocities, walls, and the pressure equation."""
 
     def __init__(self, model: Model, copies: int) -> None:
-        """Prepare an empty window on the model's grid; each worker gets a copy of the
-        cells' sums.
-        """
         self._model, self._copies = model, copies
         self._t = types(model.real)
         self.lattice = self._t.vec4(*model.origin, model.dx)
@@ -140,7 +119,7 @@ class Cells:
 
     @property
     def strides(self) -> tuple[int, int]:
-        """Memory strides between neighbouring rows and neighbouring layers of cells."""
+        """Memory strides between neighbouring rows and layers of cells."""
         return int(self.size[2]), int(self.size[1] * self.size[2])
 
     @property
@@ -150,10 +129,6 @@ class Cells:
 
     def fit(self, lower: NDArray, upper: NDArray) -> bool:
         """Fit the window to the particles and a margin; return whether the window changed.
-
-        Args:
-            lower: Lowest corner of the particles [3], m.
-            upper: Highest corner of the particles [3], m.
 
         Raises:
             Unstable: The particles are so far away that cells cannot be numbered.
@@ -170,17 +145,13 @@ class Cells:
         return True
 
     def rebase(self, low: NDArray, size: NDArray) -> None:
-        """Set the window to `size` [3] cells from the cell `low` [3] on.
-
-        Cells that were already in the old window keep their pressures.
-        """
+        """Set the window to `size` [3] cells from the cell `low` [3] on; old pressures are kept."""
         kept = self.pressure.numpy().reshape(self.size) if self.count else np.zeros((0, 0, 0))
         before = self.low
         self.low, self.size = np.array(low, int), np.array(size, int)
         self.window.assign(np.stack([self.low, self.size]).astype(np.int32))
         self._allocate(int(np.prod(self.size)))
         self.whole, self._regions = Region(self.size, self._model.device), {}
-        """The box that contains all cells of the window."""
         pressure = np.zeros(self.size)
         first = np.maximum(before, self.low)
         last = np.minimum(before + kept.shape, self.low + self.size)
@@ -193,23 +164,15 @@ class Cells:
     def _allocate(self, count: int) -> None:
         t, real = self._t, self._model.real
         self.sums = self._zeros(self._copies * count, sums(real))
-        """Sums of the particles' momentum, mass and volume in each cell; there is a copy for each
-        worker.
-        """
+        """Momentum, mass and volume of the particles in each cell; a copy per worker."""
         self.fills = self._zeros(self._copies * count, t.vec2)
-        """Sums of particle volumes in each cell, with quadratic and with linear weights; there is a
-        copy for each worker.
+        """Particle volumes in each cell, with quadratic and with linear weights; a copy per worker.
         """
         self.velocity, self.other, self.smooth = (self._zeros(count, t.vec4) for _ in range(3))
         """Velocities at the low faces of each cell [m/s], and filled fraction of the cell."""
         self.known, self.also = (self._zeros(count, int) for _ in range(2))
-        """One bit for each low face of a cell; the bit is set if the velocity at the face
-        is known.
-        """
         self.open, self.shares = self._zeros(count, t.vec4), self._zeros(count, t.vec2)
-        """Open fractions of the low faces of each cell, and the fractions of two B-splines around
-        the cell that are inside walls.
-        """
+        """Open fractions of the low faces of each cell; fractions of two B-splines inside walls."""
         self.hats, self.phi = self._zeros(count, real), self._zeros(count, real)
         self.phi.fill_(float(EMPTY))
         self.liquid = self._zeros(count, int)
@@ -219,36 +182,25 @@ class Cells:
         self.diagonal, self.inverse, self.right = (self._zeros(count, wp.float64) for _ in range(3))
         self.links = self._zeros(count, wp.vec3d)
         self.pressure, self.packing = (self._zeros(count, wp.float64) for _ in range(2))
-        """Solutions of two equations in each cell: p dt / (rho dx) for the pressure p [m/s], and
-        the potential of the displacements that correct the density.
+        """Solutions in each cell: p dt / (rho dx) for the pressure p [m/s], and the potential of
+        the displacements that correct the density.
         """
         self.residual, self.z, self.product = (self._zeros(count, wp.float64) for _ in range(3))
         self.directions = [self._zeros(count, wp.float64) for _ in range(2)]
         self.which = self._zeros(count, int)
-        """For each cell, the index of the solid whose surface is in the cell; -1 if there
-        is none.
-        """
+        """For each cell, the index of the solid whose surface is in the cell; -1: none."""
         self.jumps, self.turns = (self._zeros(count, wp.vec3d) for _ in range(2))
         """For each cell, the flux out of it per unit (angular) velocity of the solid in `which`."""
         self.active, self.listed = (self._zeros(count, int) for _ in range(2))
-        """Indices of the active cells, and of the cells of liquid."""
         self.ends = self._zeros(self._copies + 1, int)
-        """For each worker, the index of its first active cell; the last entry is the number of
-        active cells.
-        """
+        """For each worker, the index of its first active cell; then the number of active cells."""
         columns = int(self.size[0] * self.size[1])
         self.lowest, self.highest = (self._zeros(self._copies * columns, int) for _ in range(2))
-        """Lowest and highest cell with particles in each column of cells, with one copy for each
-        worker.
-        """
+        """Lowest and highest cell with particles in each column of cells; a copy per worker."""
         self.below, self.above = (self._zeros(columns, int) for _ in range(2))
-        """Lowest and highest cell with particles in each column of cells or in its neighbours along
-        y.
-        """
+        """Lowest and highest cell with particles in each column or in its neighbours along y."""
         self.begins, self.tops = (self._zeros(columns, int) for _ in range(2))
-        """For each column of cells, the index of its first active cell, and the index after its
-        last.
-        """
+        """For each column, the index of its first active cell, and the index after its last."""
 
     def record(
         self, worker: int, kernel: Any, inputs: list[Any], outputs: list[Any]
@@ -288,18 +240,18 @@ class Cells:
 
     @property
     def still(self) -> tuple[wp.array, wp.array, wp.array]:
-        """For the fixed walls: each cell's distance from the nearest wall, the index of this wall,
-        and each face's open fraction.
+        """Distance of each cell from the nearest fixed wall, index of this wall, and open fraction
+        of each face.
         """
         distances, owners, _, fractions, _ = self._kept
         return distances, owners, fractions
 
     def keep_walls(self) -> None:
-        """Store a copy of the fixed walls in the cells."""
+        """Copy the fixed walls."""
         self._kept = [wp.clone(array) for array in self._walls]
 
     def restore_walls(self) -> None:
-        """Restore the stored copy of the fixed walls."""
+        """Restore the copied fixed walls."""
         for array, kept in zip(self._walls, self._kept, strict=True):
             wp.copy(array, kept)
 
@@ -311,9 +263,7 @@ class Cells:
         return wp.zeros(count, dtype=dtype, device=self._model.device)
 
     def snapshot(self) -> dict[str, Any]:
-        """Return a snapshot: the window, and the pressure, which is the next solution's initial
-        guess.
-        """
+        """Return the window and the pressure, which is the next initial guess."""
         window = [self.low.tolist(), self.size.tolist()]
         return {"window": window, "pressure": wp.clone(self.pressure)}
 

@@ -1,9 +1,7 @@
 """Keeps the time of a liquid's run, and chooses the length of the steps.
 
 A step is limited by the distance that particles move, and by waves on the surface. The most
-restrictive waves are two cells long. Pressure is implicit and does not limit a step. Viscosity
-limits a step only if the liquid is so viscous that the iterations of one long step would take more
-time than several shorter steps.
+restrictive waves are two cells long. Pressure is implicit and does not limit a step.
 """
 
 import math
@@ -17,32 +15,28 @@ from phy124.mpm.timestep import Extremes, Substep
 CELLS = 2.0
 """Largest distance that a particle of the liquid moves in a step [cells]."""
 WAVES = 0.5
-"""Longest step in units of sqrt(dx / `a`), where dx is the side of a cell and `a` is the
-acceleration of the liquid.
+"""Longest step in units of sqrt(dx / `a`), where dx is the cell size and `a` the acceleration of
+the liquid.
 """
 
 DIFFUSED = 5.0
 """Largest product of a step's length and the rate at which viscosity diffuses velocities to a
-neighbouring face. This limit keeps the number of iterations that compute viscosity below about 200.
+neighbouring face. This limit keeps the number of viscous iterations below about 200.
 """
 
 RESOLVED = 4.0
-"""Each vibration period of a body must contain at least this number of steps, or each step must
-contain at least `AVERAGED` periods.
+"""Smallest number of steps in a vibration period of a body, unless each step contains `AVERAGED`
+periods.
 """
 AVERAGED = 1.5
-"""Smallest number of a body's vibration periods in a step, if a period contains fewer than
-`RESOLVED` steps. If the length of a step were between these two limits, the last pressure would
-amplify the body's vibrations.
+"""Smallest number of a body's vibration periods in a step, unless a period contains `RESOLVED`
+steps. Between these two limits, the last pressure would amplify the vibrations.
 """
 LIGHT_RESOLVED = 8.0
-"""Each vibration period of a light body must contain at least this number of steps, or each step
-must contain at least `LIGHT_AVERAGED` periods.
-"""
+"""As `RESOLVED`, for a light body."""
 LIGHT_AVERAGED = 0.45
-"""Smallest number of a light body's vibration periods in a step, if a period contains fewer than
-`LIGHT_RESOLVED` steps. If the length of a step were between these two limits, the pressure would
-deform a light body more than the liquid can follow, which would create energy.
+"""As `AVERAGED`, for a light body. Between the two limits, the pressure would deform a light body
+more than the liquid can follow, which would create energy.
 """
 
 
@@ -54,7 +48,7 @@ class LiquidClock(Clock):
     pull: NDArray[np.float64] = np.zeros(3)
     """Uniform acceleration [3], m/s^2."""
     viscosity = 0.0
-    """Rate at which viscosity diffuses velocities to a neighbouring face of the grid [1/s]."""
+    """Rate at which viscosity diffuses velocities to a neighbouring face [1/s]."""
     wall = 0.0
     """Largest speed of a wall in contact with the liquid [m/s]."""
     bodies = 0.0
@@ -65,7 +59,7 @@ class LiquidClock(Clock):
     """Shortest vibration period of a light body in the liquid [s]."""
 
     def diffuse(self, rate: float) -> None:
-        """Limit the steps by viscosity, for a rate of diffusion to a neighbouring face [1/s]."""
+        """Limit the steps by viscosity, for a rate of diffusion [1/s]."""
         self.viscosity, self.viscous = rate, DIFFUSED / rate if rate > 0 else math.inf
 
     def stable(self) -> Substep:
@@ -84,9 +78,7 @@ class LiquidClock(Clock):
         return Substep(limits[limiter], limiter)
 
     def divide(self, rest: float) -> tuple[float, Substep]:
-        """Divide the remaining time `rest` [s] into equal steps; return the length [s] of a step,
-        and the limit that determines it.
-        """
+        """Divide the time `rest` [s] into equal steps; return the step's length [s] and limit."""
         limit = self.stable()
         dt = rest / max(1, math.ceil(rest / limit.dt - 1e-9))
         of_wall = self.period, RESOLVED, AVERAGED
@@ -106,13 +98,11 @@ class LiquidClock(Clock):
         return self.uniform_work(momentum)
 
     def uniform_work(self, momentum: NDArray) -> float:
-        """Return the work [J] of the uniform acceleration in the half step that follows the last
-        kick.
-        """
+        """Return the work [J] of the uniform acceleration in the half step after the last kick."""
         return self.last_dt / 2 * float(self.pull @ momentum)
 
     def sweeps(self, kick: float) -> int:
-        """Return the number of pairs of Jacobi iterations that reduce the error of viscosity to a
+        """Return the number of pairs of Jacobi iterations that reduce the viscous error to a
         thousandth.
         """
         k = 6 * self.viscosity * kick
@@ -121,5 +111,5 @@ class LiquidClock(Clock):
         return max(1, math.ceil(math.log(1e-3) / math.log(k / (1 + k)) / 2))
 
     def set_speed(self, speed: float) -> None:
-        """Store the largest speed of the particles [m/s]."""
+        """Set the largest speed of the particles [m/s]."""
         self.extremes = self.recent = Extremes(speed, 0.0, 0.0)

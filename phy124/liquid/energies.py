@@ -1,4 +1,4 @@
-"""Energies: sums the work on a liquid in every step, for each cause separately."""
+"""Sums the work on a liquid in every step, for each cause separately."""
 
 from collections.abc import Iterator
 from typing import Any, NamedTuple, cast
@@ -19,55 +19,36 @@ from phy124.mpm.stage import Recorded
 from phy124.mpm.tracks import Tracks
 
 STAGE = "dissipation"
-"""Name under which reports list the time to sum the work; it is the same for all materials."""
 ROOM = 16
-"""Length of each worker's array of sums, chosen so that no two workers write to one cache line."""
+"""Length of each worker's array of sums; no two workers write to one cache line."""
 
 
 class Works(NamedTuple):
     """Work on the liquid since the start [J]; negative if the liquid lost energy."""
 
     walls: float
-    """Work due to the motion of walls."""
     viscous: float
-    """Work of viscosity, including the work at walls to which the liquid sticks."""
+    """Work of viscosity, also at walls to which the liquid sticks."""
     friction: float
     """Work of friction at walls, and of impacts of particles on walls."""
     projection: float
-    """Work of the pressure, including the work of solids and bodies, but without the work
-    of walls.
-    """
+    """Work of the pressure, of solids and of bodies; without the work of walls."""
     density: float
-    """Work of the uniform acceleration while particles are displaced, either to restore the rest
-    density or out of bodies.
-    """
+    """Work of the uniform acceleration while particles are displaced."""
 
 
 class Energies(Kept):
-    """Records the kernel launches that sum mechanical work. Nothing is summed until `start` is
-    called.
-    """
+    """Records the launches that sum mechanical work, once `start` is called."""
 
     kept = ("_sums",)
 
     def __init__(self, model: Model, state: State, cells: Cells, workers: int) -> None:
-        """Store the particles and the cells of the liquid.
-
-        Args:
-            model: The particles.
-            state: Positions of the particles.
-            cells: The cells.
-            workers: Number of workers.
-        """
         self._model, self._state, self._cells = model, state, cells
         self._sums = wp.zeros((workers, ROOM), dtype=wp.float64, device=model.device)
         self.on = False
-        """Whether the work is summed."""
 
     def start(self) -> None:
-        """Start to sum the work of all causes, from the next time that the kernel launches are
-        recorded.
-        """
+        """Sum the work of all causes from the next recording on."""
         self.on = True
 
     def fit(
@@ -80,8 +61,7 @@ class Energies(Kept):
             count: Number of walls without solids and bodies.
             tracks: Quantities that change over time.
             impulses: Sums of the walls' impulses.
-            gains: For each worker and cell, the mass of the particles, and the momentum that they
-                gained by forces.
+            gains: For each worker and cell, the particles' mass and the momentum gained by forces.
         """
         self._walls, self._tracks, self._impulses = walls, tracks, impulses
         self._gains, self._fixed = gains, count
@@ -89,9 +69,7 @@ class Energies(Kept):
             self._before = wp.zeros_like(self._cells.velocity)
 
     def before_pressure(self, worker: int) -> list[Recorded]:
-        """Return a worker's kernel launches that store velocities and sum the work of the walls'
-        drag.
-        """
+        """Return a worker's launches that store velocities and sum the work of the walls' drag."""
         if not self.on:
             return []
         cells, keep = self._cells, kernels.make_keep(self._model.real)
@@ -99,9 +77,7 @@ class Energies(Kept):
         return [(STAGE, copy), *self.of_walls(kernels.AT_DRAG, worker)]
 
     def of_walls(self, at: int, worker: int) -> list[Recorded]:
-        """Return a worker's kernel launch that sums the work of walls since the start of
-        the step.
-        """
+        """Return a worker's launch that sums the work of walls since the start of the step."""
         if not (self.on and self._walls.all):
             return []
         inputs = [at, self._fixed, self._walls.motions, self._impulses.rows(worker)]
@@ -109,9 +85,9 @@ class Energies(Kept):
         return [(STAGE, self._model.launch(kernel, 1, inputs, [self._row(worker)]))]
 
     def of_faces(self, worker: int, viscosity: float) -> list[Recorded]:
-        """Return a worker's kernel launch that sums the work on the faces of cells.
+        """Return a worker's launch that sums the work on the faces of cells.
 
-        The launch needs the velocities of the faces. `viscosity` is 0 if no liquid is viscous.
+        `viscosity` is 0 if no liquid is viscous.
         """
         if not self.on:
             return []
@@ -124,8 +100,8 @@ class Energies(Kept):
         return [(STAGE, cells.record(worker, kernel, inputs, [self._row(worker)]))]
 
     def of_shifts(self, worker: int, run: slice, sign: float) -> list[Recorded]:
-        """Return a worker's kernel launch that sums the work done by displacements. `sign` is -1
-        before the particles are displaced, and 1 afterwards.
+        """Return a worker's launch that sums the work of displacements; `sign` is -1 before the
+        particles are displaced, and 1 afterwards.
         """
         if not self.on:
             return []
@@ -149,7 +125,7 @@ class Energies(Kept):
         )
 
     def clear(self) -> None:
-        """Set all sums of work to zero."""
+        """Set the work to zero."""
         self._sums.zero_()
 
     def _row(self, worker: int) -> wp.array:

@@ -1,7 +1,6 @@
 """Sums the work of a liquid's pressure on the bodies in the liquid.
 
-The pressure of a step acts on a body as a force that is constant in all substeps. The work is the
-force times the displacement in these substeps.
+The pressure of a step acts on a body as a force that is constant in all substeps.
 """
 
 from __future__ import annotations
@@ -21,23 +20,20 @@ if TYPE_CHECKING:
 
 
 class BodyWork(Kept):
-    """Work of the liquid on bodies of particles. Nothing is summed until `start` is called."""
+    """Work of the liquid on bodies of particles, summed once `start` is called."""
 
     kept = ("total",)
 
     def __init__(self, model: Model, state: State) -> None:
-        """Store the particles of all bodies that are not liquid."""
         self._model, self._state = model, state
         self.numbers = [body for body in range(model.bodies) if body not in model.wet]
-        """Indices of the bodies that are not liquid."""
         self._runs = [model.particles(body) for body in self.numbers]
         self.on = False
-        """Whether the work of the liquid is summed."""
         self.total = np.zeros(len(self._runs))
         """Work of the liquid on each body since the start [B], J."""
 
     def start(self) -> None:
-        """Start to sum the work of the liquid, from the next step on."""
+        """Sum the work from the next step on."""
         self.on = True
 
     def begin(self) -> None:
@@ -46,7 +42,7 @@ class BodyWork(Kept):
             self._before = [self._read(array) for array in (self._state.x, self._state.C)]
 
     def end(self, pushes: wp.array, turns: wp.array, drift: float) -> None:
-        """Add the work of the liquid in the substeps since the call of `begin`.
+        """Add the work of the liquid in the substeps since `begin`.
 
         Args:
             pushes: Acceleration of each particle by the pressure [P,3], m/s^2.
@@ -70,7 +66,6 @@ class LatticeBodyWork(BodyWork):
     """Work of the liquid on bodies on lattices."""
 
     def __init__(self, solver: LatticeSolver) -> None:
-        """Store the solver of the bodies, and allocate arrays for its nodes."""
         super().__init__(solver.model, solver.state)
         self._solver, device = solver, solver.model.device
         self._ends = np.searchsorted(solver.lattice.body, range(solver.model.bodies + 1))
@@ -84,9 +79,8 @@ class LatticeBodyWork(BodyWork):
             self._u.assign(-self._solver.nodes_state.u.numpy())
 
     def end(self, pushes: wp.array, turns: wp.array, drift: float) -> None:
-        """Add the work of the liquid in the substeps since the call of `begin`.
-
-        The work is computed from the forces that the lattices store.
+        """Add the work of the liquid in the substeps since `begin`, from the forces that the
+        lattices store.
         """
         if not self.on:
             return

@@ -1,8 +1,7 @@
-"""ImmersedSolver: advances a projected liquid in steps, and bodies on lattices in substeps.
+"""Advances a projected liquid in steps, and bodies on lattices in substeps.
 
-Each step begins with a prediction: the bodies take their substeps under the pressure of the last
-step, and are then restored to their previous state. The step of the liquid uses the mean motion of
-the prediction.
+In each step, the bodies first take trial substeps under the last pressure. The liquid's step uses
+their mean motion.
 """
 
 from collections.abc import Callable, Sequence
@@ -31,11 +30,11 @@ from phy124.mpm.workers import Timings, run_timed
 from phy124.runtime.weakly import weakly
 
 MARGIN = 4
-"""Margin between a body's integration points and the border of the body's window [cells]."""
+"""Margin between a body's integration points and the border of its window [cells]."""
 
 
 class ImmersedClock(MixedClock, LatticeClock):
-    """The clock of the bodies' substeps; it accounts for the delay of the liquid's velocities."""
+    """The clock of the bodies' substeps; the liquid's velocities are delayed."""
 
 
 class ImmersedLattices(LatticeSolver):
@@ -150,25 +149,22 @@ class ImmersedSolver:
 
     @property
     def crowding(self) -> float:
-        """Largest mean excess of the liquid's density, relative to the rest density. Only an excess
-        that lasts for two frames counts.
+        """Largest mean excess of the liquid's density, relative to the rest density, that lasts for
+        two frames.
         """
         return self.liquid.crowding
 
     @property
     def nodes(self) -> int:
-        """Number of nodes of the lattices, plus number of cells in the liquid's window."""
+        """Number of lattice nodes and of cells in the liquid's window."""
         return self.lattice.nodes + self.liquid.nodes
 
     @property
     def timings(self) -> Timings:
-        """For each stage of a substep, seconds and number of its launches in the lattices' first
-        thread.
-        """
+        """Seconds and number of launches of each stage, in the lattices' first thread."""
         return self.lattice.timings
 
     def __getattr__(self, name: str) -> Any:
-        """Return an attribute of the lattice solver, for observers and reports."""
         if name.startswith("_") or name == "lattice":
             raise AttributeError(name)
         return getattr(self.lattice, name)
@@ -203,30 +199,25 @@ class ImmersedSolver:
         self.lattice.bind(forces=of_bodies, boundaries=boundaries, accumulators=sums)
 
     def keep_pushes(self, of_bodies: wp.array, of_liquid: wp.array) -> None:
-        """From now on, sum impulse and work of forces on points and particles, in one row per
-        worker.
-        """
+        """Sum impulse and work of forces on points and particles from now on, per worker."""
         self._pushed = of_bodies
         self.lattice.keep_pushes(of_bodies)
         self.liquid.keep_pushes(of_liquid)
 
     def keep_works(self) -> None:
-        """From now on, sum the work on the liquid and on the bodies by cause."""
+        """Sum the work on the liquid and on the bodies by cause from now on."""
         self.lattice.keep_works()
         self.liquid.keep_works()
         self.bodies.work.start()
 
     def _of_all(self, accumulators: Sequence[Accumulator]) -> list[Any]:
-        """Return the sums, applied to all particles instead of only the lattices' integration
-        points.
-        """
         return [_OfAll(item, self.model, self.state) for item in accumulators]
 
     def advance(
         self, until: float, *, after: Callable[[], None] | None = None, each: bool = False
     ) -> None:
-        """Take steps of the liquid, each followed by substeps of the bodies; see
-        `LiquidSolver.advance`.
+        """Take steps of the liquid, each followed by substeps of the bodies
+        (`LiquidSolver.advance`).
         """
         self._after = after
         self.lattice.pairs.begin()
@@ -242,7 +233,6 @@ class ImmersedSolver:
         self._copy_state()
 
     def _advance_bodies(self, until: float) -> None:
-        """Advance the bodies on lattices by substeps under the pressure of the liquid."""
         wet, bodies, lattice = min(self.model.wet), self.bodies, self.lattice
         for body, (impulse, moment) in zip(self._numbers, bodies.impulses, strict=True):
             self.pairs.add(wet, body, impulse, moment)
@@ -254,16 +244,13 @@ class ImmersedSolver:
         self.liquid.clock.bodies = self.clock.extremes.speed
 
     def _press(self) -> None:
-        """Let the liquid's last pressure act on the bodies in the next substeps."""
         bodies, lattice = self.bodies, self.lattice
         lattice.rejection.pressed = bodies.limit
         run_timed(self.timings, "press", lambda: lattice.crew.press(bodies.pushes, bodies.turns))
 
     def _predict(self, duration: float) -> tuple[wp.array, wp.array]:
-        """Return mean velocities of the integration points, and their gradients, in a step.
-
-        The step has a duration of `duration` [s]; the last pressure of the liquid acts during the
-        step.
+        """Return mean velocities of the integration points, and their gradients, in a step of
+        `duration` [s] under the last pressure.
         """
         lattice, nodes = self.lattice, self.lattice.nodes_state
         sums = [item.snapshot() for item in self._accumulators]
@@ -287,7 +274,6 @@ class ImmersedSolver:
         return self._mean
 
     def _find_windows(self) -> None:
-        """Place a window around the integration points of each body on a lattice."""
         part, x = self.lattice.model, self.lattice.state.x.numpy()
         for body, grid in enumerate(self._grids):
             cells = np.floor((x[part.particles(body)] - part.origin) / part.dx).astype(int)
@@ -295,7 +281,6 @@ class ImmersedSolver:
             grid.size = cells.max(axis=0) + MARGIN + 1 - grid.low
 
     def _copy_state(self) -> None:
-        """Copy the state of the lattices' points to the state of all particles."""
         copy_points(self.lattice.state, self.state, self._index)
 
     def carry_nodes(self, carry: Callable[[NDArray, NDArray], Any], body: int = 0) -> None:
@@ -306,9 +291,7 @@ class ImmersedSolver:
         self.renew()
 
     def renew(self) -> None:
-        """Measure all limits of a step again; call this after the state was changed from
-        outside.
-        """
+        """Measure all limits of a step again, after the state was changed from outside."""
         self.clock.expire()
         self.liquid.renew()
 
@@ -330,20 +313,16 @@ class ImmersedSolver:
 
 
 def _acting(forces: Sequence[Any], part: Model, whole: Model) -> list[Any]:
-    """Return the forces that act in a part of a model."""
     parts = (force.in_part(part, whole) for force in forces)
     return [force for force in parts if force is not None]
 
 
 def _names_of_liquid(model: Model) -> tuple[str, ...]:
-    """Return the name of the liquid; no name if there are several liquids."""
     return tuple(model.names[body] for body in model.wet) if len(model.wet) == 1 else ()
 
 
 class _OfAll:
-    """Sums over all particles, which are also updated in substeps that move only some of the
-    particles.
-    """
+    """Sums over all particles, also in substeps that move only some of the particles."""
 
     def __init__(self, item: Accumulator, model: Model, state: State) -> None:
         self._item, self._model, self._state = item, model, state

@@ -1,4 +1,4 @@
-"""WallImpulses: sums each wall's impulse and moment on the liquid, and the walls' work."""
+"""Sums each wall's impulse and moment on the liquid, and the walls' work."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, cast
@@ -14,22 +14,15 @@ MEASURED = 6
 
 
 class WallImpulses:
-    """Sums of each wall's impulses in the current step, per worker, and totals over all steps."""
+    """Impulses of the walls in the current step, per worker, and totals over all steps."""
 
     def __init__(self, names: Sequence[str], count: int, workers: int, device: str) -> None:
-        """Set all sums of impulses to zero.
-
-        Args:
-            names: Names of the walls.
-            count: Number of walls, including freely moving rigid solids, which come last.
-            workers: Number of workers.
-            device: Warp device.
-        """
+        """`count` is the number of walls, including freely moving solids, which come last."""
         self.names = tuple(names)
-        """Names of the walls of boundaries, which come first among all walls."""
+        """Names of the boundaries' walls, which come first among all walls."""
         walls, real = max(count, 1), wp.float64
         self.step = wp.zeros((workers, walls, COLUMNS), dtype=real, device=device)
-        """Sums of the walls' impulses and work in the current step [workers,walls,7]."""
+        """Impulses and work of the walls in the current step [workers,walls,7]."""
         self._totals = wp.zeros((walls, MEASURED), dtype=real, device=device)
         self.total = wp.zeros((1, EXCHANGE), dtype=real, device=device)
         """Total impulse and work of all walls, in the order of `phy124.kernels.work`."""
@@ -38,10 +31,10 @@ class WallImpulses:
             settle, 1, inputs=[len(names)], outputs=outputs, device=device, record_cmd=True
         )
         self.settle: Callable[[], Any] = launch.launch
-        """Function that adds the sums of a step to the totals and resets the sums."""
+        """Adds the sums of a step to the totals and resets them."""
 
     def rows(self, worker: int) -> wp.array:
-        """Return a worker's sums of the walls' impulses and work in the current step [walls,7]."""
+        """Return a worker's row of `step` [walls,7]."""
         return cast("wp.array", self.step[worker])
 
     def wrench(self, name: str) -> wp.array:
@@ -49,12 +42,12 @@ class WallImpulses:
         return cast("wp.array", self._totals[self.names.index(name)])
 
     def snapshot(self) -> dict[str, Any]:
-        """Return a snapshot of the walls' total impulses."""
+        """Return the walls' total impulses."""
         names, totals = list(self.names), np.asarray(self._totals.numpy()).tolist()
         return {"names": names, "totals": totals, "all": self.total.numpy().tolist()}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Restore the walls' total impulses from a snapshot."""
+        """Restore the walls' total impulses."""
         self.step.zero_()
         self.total.assign(np.array(snapshot["all"]))
         if list(snapshot["names"]) == list(self.names):

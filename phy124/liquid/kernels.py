@@ -63,7 +63,6 @@ def kernels(
 
 
 def _of_bodies(real: Any) -> Iterator[Any]:
-    """Yield the kernels for bodies of other materials."""
     yield from (make(real) for make in (bodies.make_moments, bodies.make_yield, bodies.make_answer))
     yield from (bodies.make_body_change(real), bodies.make_body_gather(real))
     yield from (make(real) for make in (bodies.make_body_push, shapes.make_body_scatter))
@@ -74,7 +73,6 @@ def _of_bodies(real: Any) -> Iterator[Any]:
 
 
 def _of_phases(real: Any, form: str) -> Iterator[Any]:
-    """Yield the kernels of all phases, except the kernels of walls and of conjugate gradients."""
     yield from (make(real, form) for make in (transfer.make_scatter, transfer.make_scatter_volume))
     yield from (make(real, form) for make in (transfer.make_gather, transfer.make_displace))
     yield from (faces.make_sum_copies(real, width) for width in (2, 8))

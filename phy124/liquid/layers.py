@@ -1,4 +1,4 @@
-"""Layers: computes the weights of liquid layers with different densities around a body."""
+"""Weights of liquid layers with different densities around a body."""
 
 import math
 
@@ -19,10 +19,10 @@ def weigh_layers(
     densities: wp.array | None,
     pull: NDArray[np.float64],
 ) -> tuple[float, wp.array]:
-    """Return the height of the lowest layer of liquid around a body, and the weight of each layer.
+    """Return the height of the lowest layer of liquid around a body [cells], and the weight of each
+    layer.
 
-    Heights are in cells. Weights are relative to the mean density. The list of weights is empty if
-    there is a single liquid.
+    Weights are relative to the mean density. The list is empty for a single liquid.
 
     Args:
         model: The particles of the bodies.

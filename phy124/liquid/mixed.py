@@ -1,7 +1,6 @@
 """MixedSolver: advances a projected liquid in steps, and bodies of other materials in substeps.
 
-The rigid motions of the bodies are part of the liquid's pressure equation. After each step of the
-liquid, the bodies take substeps under the pressure, until the end of the step.
+The rigid motions of the bodies are part of the liquid's pressure equation.
 """
 
 from collections.abc import Callable, Sequence
@@ -24,30 +23,25 @@ from phy124.runtime.weakly import weakly
 
 
 class MixedClock(Clock):
-    """The clock of the bodies' substeps; it accounts for the delay of the liquid's velocities."""
+    """The clock of the bodies' substeps; the liquid's velocities are delayed."""
 
     liquid: LiquidClock
-    """The clock of the liquid's steps."""
     share = 0.0
     """Mass of the liquid divided by the total mass."""
 
     def follow(self, solver: LiquidSolver, total: float) -> None:
-        """Connect the bodies' clock with the liquid's solver; `total` is the mass of all particles
-        [kg].
-        """
+        """Connect the clock with the liquid's solver; `total` is the mass of all particles [kg]."""
         self.liquid, self.share = solver.clock, solver.model.total_mass / total
         self._state = solver.state
         self._moments = Moments(solver.model, [slice(0, len(solver.model))])
 
     def wet(self) -> Motion:
-        """Return the rigid motion of the liquid, from the particles' present state."""
+        """Return the rigid motion of the liquid at present."""
         return self._moments.read(self._state.x, self._state.v, self._state.C)[0]
 
     @property
     def behind(self) -> float:
-        """Delay of velocities behind positions [s], as a mean over liquid and bodies weighted by
-        mass.
-        """
+        """Mean delay of velocities behind positions [s], weighted by mass."""
         return (1 - self.share) * super().behind + self.share * self.liquid.behind
 
     def lag(self, power: float, momentum: NDArray) -> float:
@@ -99,7 +93,7 @@ class MixedSolver(Solver):
         span = liquid_span(model)
         part = liquid_model(model, span)
         self.bodies: Bodies | None = None
-        """The bodies of other materials; None only while the solver is constructed."""
+        """None only while the solver is constructed."""
         self._liquid: LiquidSolver | None = None
         super().__init__(
             model, state, forces=forces, boundaries=boundaries, accumulators=accumulators,
@@ -130,7 +124,7 @@ class MixedSolver(Solver):
         return self._liquid
 
     def keep_works(self) -> None:
-        """From now on, sum the work on the liquid by cause, and the liquid's work on bodies."""
+        """Sum the work on the liquid by cause, and the liquid's work on bodies, from now on."""
         assert self.bodies is not None
         self.liquid.keep_works()
         self.bodies.work.start()
@@ -142,8 +136,8 @@ class MixedSolver(Solver):
 
     @property
     def crowding(self) -> float:
-        """Largest mean excess of the liquid's density, relative to the rest density. Only an excess
-        that lasts for two frames counts.
+        """Largest mean excess of the liquid's density, relative to the rest density, that lasts for
+        two frames.
         """
         return self.liquid.crowding
 
@@ -199,7 +193,6 @@ class MixedSolver(Solver):
         self.clock.time = until
 
     def _advance_bodies(self, until: float) -> None:
-        """Advance the bodies of other materials by substeps under the pressure of the liquid."""
         assert self.bodies is not None
         wet = min(self.model.wet)
         for body, (impulse, moment) in zip(self.bodies.numbers, self.bodies.impulses, strict=True):
@@ -210,9 +203,7 @@ class MixedSolver(Solver):
         self.liquid.clock.bodies = self.clock.extremes.speed
 
     def renew(self) -> None:
-        """Measure all limits of a step again; call this after the state was changed from
-        outside.
-        """
+        """Measure all limits of a step again, after the state was changed from outside."""
         super().renew()
         self.liquid.renew()
 
@@ -235,7 +226,7 @@ def liquid_span(model: Model) -> slice:
 
 
 def liquid_model(model: Model, span: slice) -> Model:
-    """Return a model with only the particles in a span, as one body."""
+    """Return a model of the particles in a span, as one body."""
     groups = [
         replace(group, start=group.start - span.start, stop=group.stop - span.start, body=0)
         for group in model.groups
@@ -258,5 +249,5 @@ def liquid_model(model: Model, span: slice) -> Model:
 
 
 def liquid_state(state: State, span: slice) -> State:
-    """Return the state of only the particles in a span, in the same memory."""
+    """Return the state of the particles in a span, in the same memory."""
     return State(**{name: part_of(array, span) for name, array in state.arrays().items()})

@@ -1,4 +1,4 @@
-"""Mixture: computes density and viscosity at each face if there are several liquids."""
+"""Density and viscosity at each face if there are several liquids."""
 
 import numpy as np
 import warp as wp
@@ -15,26 +15,25 @@ class Mixture:
     """Density and viscosity of the liquids in a run, relative to reference values."""
 
     def __init__(self, model: Model) -> None:
-        """Determine whether the particles' densities and viscosities differ."""
         self._model = model
         mass, volume = (np.asarray(a.numpy(), np.float64) for a in (model.mass, model.volume))
         viscosities = _viscosities(model)
         self.density = float(mass.sum() / volume.sum())
-        """Mean density of the liquids [kg/m^3], to which relative densities refer."""
+        """Mean density of the liquids [kg/m^3]."""
         self.viscosity = float(viscosities.max())
-        """Largest viscosity of the liquids [Pa s], to which relative viscosities refer."""
+        """Largest viscosity of the liquids [Pa s]."""
         self.lightest = float((mass / volume).min())
         """Smallest density of a liquid [kg/m^3]."""
         self.differ = [_differ(mass / volume), _differ(viscosities)]
-        """Whether the liquids differ in density, and whether they differ in viscosity."""
+        """Whether the densities differ, and whether the viscosities differ."""
         each = mass / self.density, volume * viscosities / max(self.viscosity, 1e-300)
         self.weights = [
             model.array(values, model.real)
             for values, differ in zip(each, self.differ, strict=True)
             if differ
         ]
-        """For each particle [P], volume times relative density, and volume times relative
-        viscosity. A product is omitted if the property is equal for all liquids.
+        """Volume of each particle times relative density, and times relative viscosity; only for
+        properties that differ.
         """
 
     def fit(self, count: int) -> None:
@@ -42,11 +41,9 @@ class Mixture:
         model = self._model
         kind = types(model.real).vec4
         self.uniform = wp.full(count, kind(1.0, 1.0, 1.0, 1.0), dtype=kind, device=model.device)
-        """The value 1 in every cell, for properties that are equal for all liquids."""
+        """The value 1 in every cell, for properties that do not differ."""
         self.mixed = [wp.zeros_like(self.uniform) for _ in self.weights]
-        """For each cell, averages of the properties that differ between the liquids, in the order
-        of `weights`.
-        """
+        """Averages in each cell of the properties in `weights`."""
         mixed = iter(self.mixed)
         self.densities, self.viscosities = (
             next(mixed) if differ else self.uniform for differ in self.differ
@@ -58,7 +55,6 @@ def _differ(values: NDArray) -> bool:
 
 
 def _viscosities(model: Model) -> NDArray[np.float64]:
-    """Return the viscosity of each particle [P], Pa s."""
     values = np.zeros(len(model))
     for group in model.groups:
         values[group.particles] = group.theta.numpy()[:, VISCOSITY]

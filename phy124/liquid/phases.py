@@ -41,16 +41,12 @@ from phy124.mpm.tracks import Tracks
 from phy124.mpm.workers import Worker
 
 LAYERS = 4
-"""Number of layers of faces beyond the liquid to which velocities are extrapolated; must be even
-(`Cells.known`).
-"""
+"""Layers of faces beyond the liquid to which velocities are extrapolated; even (`Cells.known`)."""
 LAYERS_SHIFT = 2
-"""Number of layers of faces beyond the liquid to which displacements are extrapolated; must be
-even, like `LAYERS`.
-"""
+"""Layers of faces beyond the liquid to which displacements are extrapolated; even."""
 EXTENT = 7
-"""Number of measured values of the extent of particles: lowest corner with negative sign, highest
-corner, and largest squared speed.
+"""Number of values of an extent: lowest corner with negative sign, highest corner, largest squared
+speed.
 """
 
 
@@ -74,8 +70,8 @@ class Phases:
             model: The particles.
             state: Positions and velocities of the particles.
             cells: The window of the grid.
-            projection: Object that solves the equations for pressure and density.
-            workers: The workers, whose phases are recorded.
+            projection: Solves the equations for pressure and density.
+            workers: The workers.
             free: Rigid solids that move freely.
             bodies: Bodies of other materials.
             missed: Flag of each worker [W,1]; 1 if a particle is outside the window.
@@ -87,7 +83,6 @@ class Phases:
         shape = (len(workers), EXTENT)
         self._no_sums = wp.zeros(0, dtype=faces.sums(model.real), device=device)
         self.extents = wp.zeros(shape, dtype=model.real, device=device)
-        """Extent of each worker's particles: bounding box and largest squared speed."""
         self.stray = wp.zeros(1, dtype=int, device=device)
         """Number of particles with values that are not finite."""
         self._mixture = Mixture(model)
@@ -96,17 +91,13 @@ class Phases:
         self._solids = Solids(model, free, density, projection)
         self._bodies = bodies
         self.pushes = Pushes(model, state, cells)
-        """Object that measures the velocity changes of particles by forces."""
         if bodies is not None:
             bodies.join(self._solids, projection.mobility)
         self.energies = Energies(model, state, cells, len(workers))
-        """Work on the liquid since the start, by cause."""
 
     @property
     def densities(self) -> wp.array | None:
-        """Densities in the cells, relative to the mean; None if all liquids have equal
-        densities.
-        """
+        """Relative densities in the cells; None if all liquids have equal densities."""
         return self._mixture.densities if self._mixture.differ[0] else None
 
     def record(
@@ -143,11 +134,11 @@ class Phases:
         self._last = {name: place + 1 for place, name in enumerate(names)}
 
     def group(self, name: str) -> range:
-        """Return the indices of the phases in a named group."""
+        """Return the indices of the phases in a group."""
         return range(self._first[name], self._last[name])
 
     def extent(self, worker: int) -> list[Named]:
-        """Return the kernel launches that measure the extent of a worker's particles."""
+        """Return the launches that measure the extent of a worker's particles."""
         model, s, run = self._model, self._state, self._run(worker)
         threads, *fraction = shared_out(run.stop - run.start, model.device)
         row = cast("wp.array", self.extents[worker])
@@ -159,7 +150,6 @@ class Phases:
     def _phases(
         self, pushes: Sequence[Stage], worker: int, grid: Grid
     ) -> Iterator[tuple[str, list[Named]]]:
-        """Yield the phases of a worker, each with the name of its group."""
         cells, solve, solids = self._cells, self._projection, self._solids.present
         for phase in self._walls.describe(cells, worker, len(self._workers), move=False):
             yield "walls", launches(phase)
@@ -192,7 +182,6 @@ class Phases:
             yield "displace", launches(records)
 
     def _before_pressure(self, worker: int) -> Iterator[tuple[str, list[Named]]]:
-        """Yield a worker's phases from the scatter to the pressure, with the names of groups."""
         for records in self._activate(worker):
             yield "scatter", launches(records)
         yield "scatter", launches([self._sum_copies(worker)])
@@ -217,7 +206,6 @@ class Phases:
             yield "equation", launches(records)
 
     def _equation(self, worker: int) -> Iterator[list[Recorded]]:
-        """Yield the phases in which a worker sets up the pressure equation."""
         cells, solve = self._cells, self._projection
         yield [self._assemble(worker, self._mixture.densities), *self._jumps(worker)]
         yield from solve.list_cells(cells, worker)
@@ -227,7 +215,6 @@ class Phases:
             yield solve.project(cells, cells.pressure, worker)
 
     def _follow(self, worker: int) -> Iterator[list[Recorded]]:
-        """Yield the phases in which a worker applies the pressure and moves particles."""
         energies = self.energies
         pressed = energies.of_walls(AT_PRESSURE, worker)
         yield [self._gradient(self._cells.pressure, worker), self._impulses(worker), *pressed]
@@ -241,14 +228,12 @@ class Phases:
         yield self._respond(worker, pulled=False)
 
     def _density_equation(self, worker: int) -> Iterator[list[Recorded]]:
-        """Yield the phases in which a worker sets up the equation for the density correction."""
         yield [self._sum_fills(worker)]
         yield [self._refill(worker)]
         yield [self._assemble(worker, self._mixture.uniform), self._excess(worker)]
         yield from self._projection.list_cells(self._cells, worker)
 
     def _displacements(self, worker: int) -> Iterator[list[Recorded]]:
-        """Yield the phases in which a worker displaces particles to correct the density."""
         for turn in range(LAYERS_SHIFT):
             yield [self._spread(worker, turn, self._no_sums)]
         yield [self._slide(worker, self._walls.still, rubs=False)]
@@ -256,26 +241,21 @@ class Phases:
         yield [*self._sum_shifts(worker, moves), *self.pushes.work(worker, self._run(worker))]
 
     def _sum_shifts(self, worker: int, moves: list[Recorded]) -> list[Recorded]:
-        """Return a worker's kernel launches that displace particles and sum the work of the
-        displacements.
-        """
         run = self._run(worker)
         first, last = (self.energies.of_shifts(worker, run, sign) for sign in (-1, 1))
         return [*first, *moves, *last]
 
     def _run(self, worker: int) -> slice:
-        """Return the range of particles that a worker handles."""
         first, count = span(len(self._model), worker, len(self._workers))
         return slice(first, first + count)
 
     def _over_cells(self, worker: int, name: str, kernel: Any, inputs: list, outputs: list) -> Any:
-        """Record a named kernel launch over a worker's active cells."""
         return name, self._cells.record(worker, kernel, inputs, outputs)
 
     def _push(self, stages: Sequence[Stage], worker: int, grid: Grid) -> list[Named]:
-        """Return a worker's kernel launches that apply forces to particles.
+        """Return a worker's launches that apply forces to particles.
 
-        The first worker gets all launches if a launch cannot be divided between workers.
+        The first worker gets all launches if one of them cannot be divided.
         """
         if all(stage.by_run for stage in stages):
             with grid.only(None, worker, len(self._workers)):
@@ -285,12 +265,10 @@ class Phases:
         return launches([(stage.name, stage.record(grid)) for stage in stages])
 
     def _copy(self, sums: wp.array, worker: int) -> wp.array:
-        """Return the part of an array of sums over cells or columns that belongs to a worker."""
         count = len(sums) // len(self._workers)
         return cast("wp.array", sums[worker * count : (worker + 1) * count])
 
     def _activate(self, worker: int) -> list[list[Recorded]]:
-        """Return a worker's kernel launches that find, count and then list the active cells."""
         cells, launch = self._cells, self._model.launch
         part, parts = self._projection.part(worker)
         counts = self._projection.counts
@@ -338,9 +316,6 @@ class Phases:
         return self._over_cells(worker, "levels", kernel, inputs, outputs)
 
     def _near_walls(self) -> list:
-        """Return the arguments that describe walls, and the index of the first wall that is a
-        solid.
-        """
         cells = self._cells
         first = self._solids.first(self._walls)
         return [cells.open, cells.shares, cells.distances, cells.owners, first]
@@ -415,10 +390,7 @@ class Phases:
         return "walls", model.launch(kernel, parts, inputs, outputs)
 
     def _spread(self, worker: int, turn: int, sums: wp.array) -> Recorded:
-        """Record the extrapolation of velocities or displacements to the next layer of faces.
-
-        `sums` is empty for displacements.
-        """
+        """`sums` is empty for displacements."""
         cells = self._cells
         known = [cells.known, cells.also]
         inputs = [self.viscosity.rate, cells.window, self._tracks.clock, known[turn % 2]]
@@ -456,7 +428,6 @@ class Phases:
         return [*out, *walls.push_out(cells, run, s, sums, stops=stops)]
 
     def _fill(self, worker: int, volume: wp.array) -> list[Named]:
-        """Return a worker's kernel launches that sum its particles' volumes in cells [m^3]."""
         model, run, cells = self._model, self._run(worker), self._cells
         fills = self._copy(cells.fills, worker)
         inputs = [volume[run], cells.lattice, cells.window, self._state.x[run]]

@@ -1,4 +1,4 @@
-"""Projection: solves equations on the cells of liquid by conjugate gradients, in parallel."""
+"""Solves equations on the cells of liquid by conjugate gradients, in parallel."""
 
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -14,60 +14,40 @@ from phy124.mpm import Model
 from phy124.mpm.stage import Recorded
 
 STAGE = "pressure"
-"""Name under which reports list the time to solve the pressure equation."""
 PARTS = 512
-"""Number of parts into which the list of cells is divided on a GPU. On a CPU, each worker handles
-one part.
-"""
+"""Number of parts of the list of cells on a GPU; on a CPU, each worker handles one part."""
 MOST = 400
-"""Largest number of iterations for a solution of the pressure equation."""
+"""Largest number of iterations for a solution."""
 CHECK = 8
-"""Number of iterations between two checks of the residual on a GPU, as each check waits for the
-GPU.
-"""
+"""Number of iterations between two checks on a GPU; each check waits for the GPU."""
 MAKERS = conjugate.make_begin, conjugate.make_advance, conjugate.make_improve
-"""Factories of the kernels that begin a solution, and that advance and improve it in each
-iteration.
-"""
+"""Factories of the kernels of an iteration."""
 
 
 class Projection:
     """Records and repeats the kernel launches that solve an equation by conjugate gradients."""
 
     def __init__(self, model: Model, workers: int, solids: int = 0) -> None:
-        """Allocate the arrays in which the solver stores its sums.
-
-        Args:
-            model: The particles.
-            workers: Number of workers.
-            solids: Number of solids that move with the liquid.
-        """
         self.solids = solids
         self._model, self._workers = model, workers
         self._parts = parts_on(model.device, workers)
         self._form = form_on(model.device)
         device = model.device
         self.counts = wp.zeros(self._parts, dtype=int, device=device)
-        """Number of cells with liquid in each part of the list of cells."""
+        """Number of cells of liquid in each part of the list."""
         self.sums = wp.zeros((ROWS + 6 * solids, self._parts), dtype=wp.float64, device=device)
         self.mobility = wp.zeros((solids, 10), dtype=wp.float64, device=device)
-        """Mobility of each solid: its motion per unit impulse, with impulses in the units of the
-        solution q = p dt / (rho dx).
-        """
+        """Motion of each solid per unit impulse; impulses have the units of q = p dt / (rho dx)."""
         shape = (self._parts, 2 * solids)
         self._responses = wp.zeros(shape, dtype=wp.vec3d, device=device)
-        """Velocity and angular velocity of each solid due to the pressures in each part of the list
-        of cells.
-        """
+        """Velocity and angular velocity of each solid due to the pressures in each part."""
 
     def part(self, worker: int) -> tuple[int, int]:
-        """Return the first part of the list of cells that a worker handles, and the number of its
-        parts.
-        """
+        """Return the first part that a worker handles, and the number of its parts."""
         return (worker, 1) if self._parts == self._workers else (0, self._parts)
 
     def list_cells(self, cells: Cells, worker: int) -> tuple[list[Recorded], list[Recorded]]:
-        """Return a worker's kernel launches that count and then list the cells of liquid."""
+        """Return a worker's launches that count and then list the cells of liquid."""
         launch, (part, parts) = self._model.launch, self.part(worker)
         inputs = [part, cells.active, cells.ends, cells.liquid]
         count = launch(count_liquid, parts, inputs, [self.counts])
@@ -77,12 +57,10 @@ class Projection:
     def phases(
         self, cells: Cells, x: wp.array, worker: int, *, rigid: bool = False
     ) -> list[list[Recorded]]:
-        """Return a worker's kernel launches that solve an equation.
+        """Return a worker's launches that solve an equation.
 
-        The first launch begins the solution; each iteration then has a pair of launches, advance
-        and improve.
-
-        Three pairs of launches are recorded: for the first, for odd and for even iterations.
+        The first begins the solution. Three pairs, advance and improve, follow: for the first, for
+        odd and for even iterations.
 
         Args:
             cells: The cells.
@@ -129,17 +107,17 @@ class Projection:
         return phases
 
     def project(self, cells: Cells, x: wp.array, worker: int) -> list[Recorded]:
-        """Return a worker's kernel launch that sums the impulse of the pressure on each solid."""
+        """Return a worker's launch that sums the impulse of the pressure on each solid."""
         part, parts = self.part(worker)
         inputs = [part, self.solids, self.counts, cells.listed, cells.which]
         inputs += [cells.jumps, cells.turns, x]
         return [(STAGE, self._model.launch(rigid.project, parts, inputs, [self.sums]))]
 
     def solve(self, run: Callable[[int], None], begin: int, tolerance: float) -> int:
-        """Run the recorded iterations until the residual is small; return the number of iterations.
+        """Iterate until the residual is small; return the number of iterations.
 
         Args:
-            run: Function that runs a phase of all workers.
+            run: Runs a phase of all workers.
             begin: Index of the first phase of the solution.
             tolerance: Largest residual, relative to the largest right-hand side.
         """
@@ -165,12 +143,12 @@ class Projection:
 
 
 def parts_on(device: str, workers: int) -> int:
-    """Return the number of parts into which the list of cells is divided on a device."""
+    """Return the number of parts of the list of cells on a device."""
     return workers if device == "cpu" else PARTS
 
 
 def form_on(device: str) -> str:
-    """Return the implementation of the iterations on a device: "native" or "plain"."""
+    """Return the implementation on a device: "native" or "plain"."""
     return "native" if device == "cpu" else "plain"
 
 

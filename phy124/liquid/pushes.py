@@ -1,12 +1,8 @@
 """Measures velocity changes by forces on particles, for the pressure at walls and the work.
 
-Between the centre of a cell and a wall, the pressure changes by the weight of the liquid. A force
-on particles acts like an additional weight that may differ between cells. The pressure resists a
-force within the step. The work of an impulse is therefore the impulse times the mean of the
-velocities before the force and at the end of the step.
-
-In a scene with only liquids, forces act at the start of a step. In a scene with other materials,
-forces act in the substeps of these materials, between two steps of the liquid.
+Between the centre of a cell and a wall, the pressure changes by the weight of the liquid; a force
+on particles acts like an additional weight. The work of an impulse is the impulse times the mean of
+the velocities before the force and at the end of the step.
 """
 
 from collections.abc import Sequence
@@ -25,25 +21,15 @@ from phy124.mpm.model import part_of
 from phy124.mpm.stage import Named, Recorded, Stage, launches
 
 STAGE, WORK = "walls", "external work"
-"""Names under which reports list times: for the pressure at walls, and for the work of forces."""
 
 
 class Pushes:
-    """Measures velocity changes by forces; the arrays are empty if no forces act on particles."""
+    """Velocity changes by forces; arrays are empty if no forces act on particles."""
 
     def __init__(self, model: Model, state: State, cells: Cells) -> None:
-        """Store the particles and the cells.
-
-        Args:
-            model: The particles.
-            state: Positions and velocities of the particles.
-            cells: The window of the grid.
-        """
         self._model, self._state, self._cells = model, state, cells
         self.sums: wp.array | None = None
-        """Sums of the impulse and work of forces on particles, for each worker [W,16]; None if they
-        are not summed.
-        """
+        """Impulse and work of forces on particles, for each worker [W,16]; None: not summed."""
         self._v: list[wp.array] = []
         self.fit(0, (), in_cells=False)
 
@@ -70,20 +56,15 @@ class Pushes:
             kept = before[0] if len(before[0]) else wp.clone(self._state.v)
             self._v[0] = kept
         self._C = [self._empty(t.mat33, turns) for _ in keeps]
-        """Velocities and velocity gradients of the particles before and after forces act."""
         count = workers * self._cells.count if self._in_cells else 0
         self.gains = wp.zeros(count, dtype=t.vec4, device=model.device)
-        """Sums in each cell of the momentum that particles gained by forces, and of their mass;
-        there is a copy for each worker.
-        """
+        """Momentum that particles gained by forces, and mass, in each cell; a copy per worker."""
 
     def _empty(self, dtype: Any, needed: bool) -> wp.array:
         return wp.zeros(len(self._model) if needed else 0, dtype=dtype, device=self._model.device)
 
     def keep(self, run: slice) -> list[Named]:
-        """Return the kernel launches that store velocities before forces act on a worker's
-        particles.
-        """
+        """Return the launches that store a worker's velocities before forces act."""
         return self._copy(0, run)
 
     def renew(self) -> None:
@@ -92,7 +73,7 @@ class Pushes:
             wp.copy(self._v[0], self._state.v)
 
     def snapshot(self) -> dict[str, wp.array]:
-        """Return a snapshot: the velocities before forces acted between two steps."""
+        """Return the velocities before forces acted between two steps."""
         return {"v": wp.clone(self._v[0])} if self._between else {}
 
     def restore(self, snapshot: dict[str, wp.array]) -> None:
@@ -101,19 +82,13 @@ class Pushes:
             wp.copy(self._v[0], snapshot["v"])
 
     def _copy(self, index: int, run: slice) -> list[Named]:
-        """Return the kernel launches that copy the velocities v of a worker's particles.
-
-        If forces change C, the launches copy C, too.
-        """
         s = self._state
         pairs = [(self._v[index], s.v), (self._C[index], s.C)]
         parts = [(part_of(kept, run), part_of(a, run)) for kept, a in pairs if len(kept)]
         return [(STAGE, partial(wp.copy, kept, a)) for kept, a in parts]
 
     def add(self, worker: int, run: slice) -> list[Named]:
-        """Return the kernel launches that sum the momentum that a worker's particles gained by
-        forces.
-        """
+        """Return the launches that sum the momentum that a worker's particles gained by forces."""
         if not self._in_cells:
             return self._copy(1, run)
         model, cells, s, count = self._model, self._cells, self._state, self._cells.count

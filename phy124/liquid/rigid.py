@@ -1,9 +1,4 @@
-"""Rigid motions of liquids and bodies, and freely moving rigid solids among other materials.
-
-The solver of the other materials stores and moves freely moving solids. The liquid uses copies of
-the solids with positions that are half a step ahead. The impulse of the pressure is distributed
-over the substeps, so that the velocity with which a solid touches the materials changes gradually.
-"""
+"""Rigid motions of liquids and bodies, and freely moving rigid solids among other materials."""
 
 from __future__ import annotations
 
@@ -22,14 +17,13 @@ from phy124.mpm import FreeBodies, Grid, Model, Stage
 from phy124.mpm.tracks import Tracks
 
 STAGE = "free"
-"""Name under which reports list the time for freely moving solids."""
 
 
 class Motion(NamedTuple):
     """The rigid motion of a body."""
 
     mass: float
-    """Mass of the body [kg]."""
+    """Mass [kg]."""
     centre: NDArray[np.float64]
     """Centre of mass of the body [3], m."""
     momentum: NDArray[np.float64]
@@ -53,20 +47,16 @@ class Motion(NamedTuple):
 
 
 class Moments:
-    """Sums over the particles of several bodies, from which the bodies' rigid motions are
-    computed.
-    """
+    """Sums over particles from which the rigid motions of bodies are computed."""
 
     def __init__(self, model: Model, runs: Sequence[slice]) -> None:
-        """Allocate a row of sums for each body; `runs` are the slices of the bodies' particles."""
+        """`runs` are the slices of the bodies' particles."""
         self._model, self._runs = model, list(runs)
         shape = (len(self._runs), MOMENTS)
         self._rows = wp.zeros(shape, dtype=wp.float64, device=model.device)
 
     def read(self, x: wp.array, v: wp.array, C: wp.array) -> list[Motion]:
-        """Return the rigid motion of each body for these positions and velocities of the
-        particles.
-        """
+        """Return the rigid motion of each body."""
         model = self._model
         self._rows.zero_()
         for index, run in enumerate(self._runs):
@@ -81,17 +71,16 @@ class Moments:
 
 
 class FreeSolids:
-    """The freely moving solids of a run with a liquid and other materials."""
+    """Freely moving solids in a liquid with bodies of other materials."""
 
     def __init__(self, model: Model, solids: FreeBodies) -> None:
-        """Store the solids, which the solver of the other materials moves."""
         self._model, self._solids = model, solids
         shape = (len(solids.all), 2)
         self._rates = wp.zeros(shape, dtype=wp.vec3d, device=model.device)
         """Acceleration [m/s^2] and torque [N m] by the liquid on each solid."""
         self._acting: list[tuple[NDArray, NDArray, NDArray, NDArray]] = []
-        """Impulse and moment of the liquid on each solid in the substeps; pose and motion of the
-        solid at their start.
+        """For each solid: force [N] and angular impulse [N m s] of the liquid; pose and motion at
+        the start of the substeps.
         """
 
     def attach(self, tracks: Tracks) -> list[Stage]:
@@ -131,8 +120,7 @@ class FreeSolids:
         """Compute the solids' accelerations due to the pressure of a step.
 
         Args:
-            impulses: For each solid, the impulse of the liquid on it, and the moment of the impulse
-                about the origin [F,2,3].
+            impulses: Impulse of the liquid and its moment about the origin, for each solid [F,2,3].
             centres: Centre of each solid [F,3], m.
             kick: Duration over which the pressure caused the impulses [s].
             drift: Duration over which the pressure acts on the solids [s].
@@ -150,10 +138,7 @@ class FreeSolids:
         self._rates.assign(rates)
 
     def finish(self) -> None:
-        """Sum the work of the pressure on the solids in the substeps since `receive`.
-
-        The work is the force times the displacement plus the moment times the mean rotation.
-        """
+        """Sum the work of the pressure on the solids since `receive`."""
         now = zip(self._solids.poses(), self._solids.motions(), strict=True)
         for index, (acted, (pose, motion)) in enumerate(zip(self._acting, now, strict=False)):
             force, moment, before, moved = acted
@@ -164,7 +149,7 @@ class FreeSolids:
 
 
 def _turn(quat: NDArray, angle: NDArray) -> NDArray[np.float64]:
-    """Return a quaternion (wxyz) after a further rotation by a vector [rad]."""
+    """Return a quaternion (wxyz) after a rotation by a vector [rad]."""
     size = float(np.linalg.norm(angle))
     w, axis = np.cos(size / 2), angle * (np.sinc(size / 2 / np.pi) / 2)
     turned = [w * quat[0] - axis @ quat[1:]]

@@ -15,13 +15,10 @@ from phy124.mpm.stage import Recorded
 from phy124.mpm.tracks import Tracks
 
 STAGE = "free"
-"""Name under which reports list the time for freely moving solids."""
 
 
 class Solids:
-    """Records the kernel launches for the solids of a scene; solids are the last entries in the
-    list of walls.
-    """
+    """The solids of a scene; solids are the last entries in the list of walls."""
 
     def __init__(
         self, model: Model, bodies: FreeBodies, density: float, projection: Projection
@@ -30,17 +27,16 @@ class Solids:
 
         Args:
             model: The particles of the liquid.
-            bodies: The freely moving rigid solids, which come first.
+            bodies: The freely moving rigid solids.
             density: Density of the liquid [kg/m^3].
-            projection: Object that solves the pressure equation; the launches write its sums and
-                mobilities.
+            projection: Solves the pressure equation.
         """
         self._model, self.bodies, self._projection = model, bodies, projection
         self.scale = density * model.dx**3
         """Mass of a cell that is full of liquid [kg]."""
         count = projection.solids
         self.plans = wp.zeros((count, 2), dtype=wp.vec3d, device=model.device)
-        """Velocity and angular velocity of each solid before the pressure changes them."""
+        """Velocity and angular velocity of each solid before the pressure acts."""
         self.centres = wp.zeros(count, dtype=wp.vec3d, device=model.device)
         """Centre of mass of each solid [m]."""
 
@@ -50,11 +46,11 @@ class Solids:
         return self._projection.solids > 0
 
     def first(self, walls: Walls) -> int:
-        """Return the index of the first freely moving solid or body among all walls."""
+        """Return the index of the first solid or body among all walls."""
         return len(walls.all) - self._projection.solids
 
     def kick(self, tracks: Tracks) -> list[Recorded]:
-        """Return the kernel launches that apply gravity to the freely moving solids."""
+        """Return the launches that apply gravity to the freely moving solids."""
         records = []
         for index, (solid, body) in enumerate(
             zip(self.bodies.all, self.bodies.numbers, strict=True)
@@ -74,20 +70,18 @@ class Solids:
         tracks: Tracks,
         worker: int,
     ) -> list[list[Recorded]]:
-        """Return a worker's kernel launches that must run before the velocities' divergence is
-        computed.
+        """Return a worker's launches before the velocities' divergence is computed.
 
         Args:
             cells: The cells.
-            weights: Relative densities of the liquid in the cells, and momenta gained by forces
+            weights: Relative densities of the liquid, and momenta gained by forces
                 (`Pushes.gains`).
             walls: The walls.
             tracks: Quantities that change over time.
             worker: Index of the worker.
 
         Returns:
-            Two lists of launches; workers wait for each other between them. The first worker
-            predicts the motions.
+            Two lists of launches; workers wait for each other between them.
         """
         model, projection = self._model, self._projection
         part, parts = projection.part(worker)
@@ -103,14 +97,7 @@ class Solids:
         return [[(STAGE, lift)], [(STAGE, predict)]]
 
     def jumps(self, cells: Cells, walls: Walls, worker: int) -> Recorded:
-        """Return a worker's kernel launch that writes the rows of J
-        (phy124/kernels/liquid/solids.py).
-
-        Args:
-            cells: The cells.
-            walls: The walls.
-            worker: Index of the worker.
-        """
+        """Return a worker's launch that writes the rows of J (phy124/kernels/liquid/solids.py)."""
         inputs = [self.first(walls), cells.lattice, cells.window, cells.open]
         inputs += [cells.distances, cells.owners, cells.liquid, self.centres]
         outputs = [cells.which, cells.jumps, cells.turns]
@@ -119,7 +106,7 @@ class Solids:
     def respond(
         self, walls: Walls, impulses: WallImpulses, tracks: Tracks, pulled: bool
     ) -> list[Recorded]:
-        """Return the kernel launches that apply the liquid's impulses to freely moving solids.
+        """Return the launches that apply the liquid's impulses to freely moving solids.
 
         Args:
             walls: The walls.

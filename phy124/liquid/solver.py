@@ -1,8 +1,4 @@
-"""Solver of a liquid; each step removes the divergence of the velocities.
-
-The solver has the interface of `phy124.mpm.Solver`, so that runs, observers, pauses and live
-changes need not distinguish solvers. All particles of the run are liquid.
-"""
+"""Solver of a liquid, with the interface of `phy124.mpm.Solver`. All particles are liquid."""
 
 import math
 import time
@@ -47,8 +43,8 @@ from phy124.mpm.workers import (
 )
 
 TOLERANCE, LOOSE = 1e-4, 1e-2
-"""Largest allowed residual of the pressure equation and of the density equation, relative to the
-largest right-hand side.
+"""Largest residual of the pressure equation and of the density equation, relative to the largest
+right-hand side.
 """
 SETTLE = 4
 """Number of times that the density is corrected before the first step."""
@@ -87,7 +83,7 @@ class LiquidSolver(Kept):
         whole: Model | None = None,
         **acting: Any,
     ) -> None:
-        """Connect forces and walls to the particles of a liquid.
+        """Connect forces and walls to the particles.
 
         Args:
             model: The constants of the run.
@@ -107,7 +103,7 @@ class LiquidSolver(Kept):
         self.state = State.of(model) if state is None else state
         self.clock = LiquidClock(model, ceiling=ceiling)
         self.grids = grids_of(model)
-        """Grids without nodes, because forces and reports expect a grid for each body."""
+        """Without nodes; forces and reports expect a grid for each body."""
         count = usable_workers(len(model), model.device, threads)
         self.workers = [Worker(numbers(0, model), numbers(0, model)) for _ in range(count)]
         self.slabs, self.softened = None, 1.0
@@ -117,7 +113,7 @@ class LiquidSolver(Kept):
         self.cells = Cells(model, count)
         self._bodies, self._advance_bodies = bodies, advance_bodies
         self.bounds: StepRejection | None = None
-        """Upper bounds of the forces on particles in the bodies' substeps."""
+        """Bounds of the forces on particles in the bodies' substeps."""
         solids = len(free) + (len(bodies.numbers) if bodies else 0)
         self.projection = Projection(model, count, solids)
         self._phases = Phases(
@@ -133,18 +129,16 @@ class LiquidSolver(Kept):
         self.runner = Runner(self.workers)
         self.clock.diffuse(self._phases.viscosity.fastest)
         self.kick = 0.0
-        """Duration of the step in which the stored pressure acted [s]."""
+        """Duration of the last step [s]."""
         self.follower: Callable[[], None] | None = None
-        """Function that is called after each step, before the function that `advance` receives."""
+        """Called after each step, before `after` of `advance`."""
         self._fitted = False
         self.crowding, self._excess = 0.0, 0.0
-        """Largest mean excess of the liquid's density over the rest density, as a fraction of the
-        rest density; and the excess at the end of the last frame. Only an excess of density that
-        lasts for two frames counts, because an impact compresses the liquid for a moment even if
-        the liquid can expand.
+        """Largest mean excess of the liquid's density, as a fraction of the rest density; and the
+        excess at the end of the last frame. Only an excess that lasts for two frames counts,
+        because an impact compresses the liquid for a moment.
         """
         self.impulses = WallImpulses((), 0, count, model.device)
-        """Impulses of the walls on the liquid."""
         self.bind(**acting)
 
     def bind(
@@ -205,26 +199,26 @@ class LiquidSolver(Kept):
         return self._phases.energies
 
     def keep_pushes(self, sums: wp.array) -> None:
-        """From now on, sum impulse and work of forces on particles, in one row per worker."""
+        """Sum impulse and work of forces on particles from now on; one row per worker."""
         self._phases.pushes.sums = sums
         if self._fitted:
             self._record()
 
     def keep_works(self) -> None:
-        """From now on, sum the work of each cause."""
+        """Sum the work of each cause from now on."""
         self.energies.start()
         if self._fitted:
             self._record()
 
     @property
     def timings(self) -> Timings:
-        """For each stage of a step, seconds and number of its launches in the first thread."""
+        """Seconds and number of launches of each stage, in the first thread."""
         return self.workers[0].timings
 
     def advance(
         self, until: float, *, after: Callable[[], None] | None = None, each: bool = False
     ) -> None:
-        """Take steps of stable length, as `Solver.advance` does; `after` follows each step."""
+        """Take steps of stable length; `after` follows each step."""
         self._fit()
         started, named = time.perf_counter(), self._seconds()
         self._begin(until)
@@ -242,7 +236,7 @@ class LiquidSolver(Kept):
         between[1] += 1
 
     def step(self, kick: float, drift: float) -> None:
-        """Take a step: change velocities for the time `kick` [s], and positions for `drift` [s]."""
+        """Take a step: velocities change for the time `kick` [s], positions for `drift` [s]."""
         self._fit()
         clock = self.clock
         clock.begin(kick, drift)
@@ -283,11 +277,8 @@ class LiquidSolver(Kept):
     def start(self) -> None:
         """Move particles out of walls, and restore the rest density, without changing velocities.
 
-        The observers must have been bound before, because the launches of their sums are recorded
-        together with the first window. At the start of a run, particles may be slightly inside a
-        wall, or nearer to the wall than in any later step. Particles may also be closer to each
-        other than at rest. The energy balance should not include the lift out of a floor or out of
-        a crowded tank.
+        The observers must have been bound before. The energy balance should not include the lift
+        out of a floor or out of a crowded tank.
         """
         self._fit()
         if self.walls.move:
@@ -304,9 +295,7 @@ class LiquidSolver(Kept):
         self._measure()
 
     def renew(self) -> None:
-        """Measure all limits of a step again; call this after the state was changed from
-        outside.
-        """
+        """Measure all limits of a step again, after the state was changed from outside."""
         self._fit()
         self._phases.pushes.renew()
         self._measure()
@@ -332,11 +321,9 @@ class LiquidSolver(Kept):
         self._phases.pushes.restore(snapshot["pushes"])
 
     def _seconds(self) -> float:
-        """Return the total time of all stages so far [s]."""
         return sum(seconds for seconds, _ in self.timings.values())
 
     def _begin(self, until: float) -> None:
-        """Compute upper bounds of the forces and of the walls' speeds up to a time [s]."""
         clock, rejection = self.clock, self.rejection
         rejection.begin(clock.time, until)
         clock.acceleration, clock.wall = rejection.acceleration, rejection.wall
@@ -347,7 +334,6 @@ class LiquidSolver(Kept):
         clock.wall = max(clock.wall, self.free.fastest())
 
     def _stable_step(self, until: float) -> None:
-        """Take one stable step, whose length divides the remaining time evenly."""
         self._fit()
         clock = self.clock
         if self._bodies is not None:
@@ -361,9 +347,7 @@ class LiquidSolver(Kept):
         clock.count(limit.limiter, needed=dt / limit.dt)
 
     def _guess(self, kick: float) -> None:
-        """Scale the last pressure, which is the initial guess of the next step, to a step of `kick`
-        [s].
-        """
+        """Scale the last pressure, which is the next initial guess, to a step of `kick` [s]."""
         scale = kick / self.kick if self.kick > 0 else 0.0
         self._phases.viscosity.carry.fill_(scale)
         self.kick = kick
@@ -372,7 +356,6 @@ class LiquidSolver(Kept):
         self.projection.solve(self.runner.run, self._phases.group(name)[0], tolerance)
 
     def _move_solids(self, drift: float) -> None:
-        """Advance freely moving solids and the bodies of other materials by a time [s]."""
         if not self.projection.solids:
             return
         self._group("drift")
@@ -383,10 +366,7 @@ class LiquidSolver(Kept):
             self._advance_bodies(self.clock.time + drift)
 
     def _move_walls(self, ahead: float = 0.0) -> None:
-        """Update the geometry of walls in the cells.
-
-        The positions of bodies are extrapolated by `ahead` [s].
-        """
+        """Write the positions of moving walls, `ahead` [s] from now, into the cells."""
         self.runner.join()
         run_timed(self.timings, "walls", self.cells.restore_walls)
         if self._bodies is not None:
@@ -399,23 +379,16 @@ class LiquidSolver(Kept):
             run_timed(self.timings, "bodies", describe)
 
     def _group(self, name: str) -> None:
-        """Run all phases of a named group."""
         for phase in self._phases.group(name):
             self.runner.run(phase)
 
     def _fit(self) -> None:
-        """Measure the particles before the first step, and fit the window to them."""
         if not self._fitted:
             self._extents = [self._phases.extent(index) for index in range(len(self.workers))]
             self._fitted = True
             self._measure()
 
     def _measure(self) -> None:
-        """Measure the particles' extent and speed, and replace the window if it is too small.
-
-        Raises:
-            Unstable: A value of a particle is not finite, or a particle is too far away.
-        """
         extents, team = self._extents, self.runner.team
 
         def extend(member: int) -> None:
@@ -432,10 +405,8 @@ class LiquidSolver(Kept):
             run_timed(self.timings, WINDOW, self._record)
 
     def _bound(self, lower: NDArray, upper: NDArray) -> tuple[NDArray, NDArray]:
-        """Return the corners [m] of the box from which the window is computed.
-
-        The box is the particles' bounding box, or the part of it that fits into the largest window.
-        Particles outside the window move along parabolas.
+        """Return the corners [m] of the particles' bounding box, or of its part that fits into the
+        largest window.
         """
         most = min(self.outliers.allowed, MOST_CELLS)
         if np.prod(needed_cells(lower, upper, self.model.dx)) <= most:
@@ -445,7 +416,6 @@ class LiquidSolver(Kept):
         return lower, upper
 
     def _record(self) -> None:
-        """Record the kernel launches for the current window, and write the walls into its cells."""
         self.grid.low, self.grid.size = self.cells.low, self.cells.size
         if self._bodies is not None:
             self._bodies.fit(self.cells)

@@ -1,4 +1,4 @@
-"""Viscosity: records the launches that diffuse velocities between faces and drag them at walls."""
+"""Launches that diffuse velocities between faces and drag them at walls."""
 
 import warp as wp
 
@@ -12,37 +12,29 @@ from phy124.mpm.stage import Recorded
 from phy124.mpm.tracks import Tracks
 
 STAGE = "viscosity"
-"""Name under which reports list the time for viscosity."""
 
 
 class Viscosity:
-    """Records the kernel launches that compute viscosity by iterations. Before the first iteration,
-    the effect of the last pressure is added to the velocities.
-    """
+    """Computes viscosity by iterations."""
 
     def __init__(self, model: Model, cells: Cells, mixture: Mixture) -> None:
-        """Compute the rates at which viscosity diffuses velocities to a neighbouring face."""
         self._real, self._cells, self._mixture = model.real, cells, mixture
         self.rate = mixture.viscosity / (mixture.density * model.dx**2)
         """Rate at which viscosity diffuses velocities to a neighbouring face, at the mean density
         [1/s].
         """
         self.fastest = mixture.viscosity / (mixture.lightest * model.dx**2)
-        """Upper bound of the rate at which viscosity diffuses velocities to a neighbouring face
-        [1/s].
-        """
+        """The same rate at the smallest density [1/s], an upper bound."""
         self.carry = wp.ones(1, dtype=wp.float64, device=model.device)
-        """Factor on the last pressure; the product is the initial guess of the next pressure."""
+        """Factor on the last pressure, which is then the next initial guess."""
 
     def fit(self, walls: Walls, tracks: Tracks, impulses: WallImpulses) -> None:
-        """Set the walls, the quantities that change over time, and the sums of the walls'
-        impulses.
-        """
+        """Set the objects that the launches use."""
         self._walls, self._tracks, self._impulses = walls, tracks, impulses
 
     def anticipate(self, worker: int, factor: float) -> Recorded:
-        """Record the kernel launch that changes a worker's velocities by the last pressure times a
-        factor.
+        """Record a worker's launch that adds `factor` times the effect of the last pressure to
+        velocities.
         """
         cells = self._cells
         inputs = [factor, cells.window, cells.open, self._mixture.densities]
@@ -51,16 +43,13 @@ class Viscosity:
         return STAGE, cells.record(worker, kernel, inputs, [cells.velocity])
 
     def diffuse(self, worker: int, before: wp.array, after: wp.array) -> Recorded:
-        """Record a Jacobi iteration over a worker's faces, from one array of velocities to
-        another.
-        """
+        """Record a Jacobi iteration over a worker's faces."""
         inputs = [*self._common(), self._cells.velocity, before]
         return STAGE, self._cells.record(worker, viscous.make_diffuse(self._real), inputs, [after])
 
     def drag(self, worker: int, sums: wp.array) -> Recorded:
-        """Record the kernel launch that sums the impulses of a worker's faces on walls.
-
-        `sums` contains the masses of the faces.
+        """Record a worker's launch that sums the impulses on walls; `sums` contains the masses of
+        faces.
         """
         cells = self._cells
         inputs = [*self._common(), sums, cells.other]
@@ -68,7 +57,6 @@ class Viscosity:
         return STAGE, cells.record(worker, viscous.make_drag(self._real), inputs, outputs)
 
     def _common(self) -> list:
-        """Return the arguments that the kernels of viscosity have in common."""
         cells, walls = self._cells, self._walls
         inputs = [self.rate, cells.lattice, cells.window, self._tracks.clock, cells.known]
         inputs += [self._mixture.densities, self._mixture.viscosities, cells.open]

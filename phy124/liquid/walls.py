@@ -19,7 +19,6 @@ from phy124.mpm.stage import Recorded
 from phy124.mpm.tracks import Tracks
 
 STAGE = "walls"
-"""Name under which reports list the time for walls."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,27 +26,18 @@ class Wall:
     """A single shape that the liquid does not enter."""
 
     name: str
-    """Name of the wall's boundary; if the boundary has several parts, also the name of the part."""
     shape: str
-    """Name of the distance function for the wall's shape (phy124/kernels/distance.py); empty for a
-    particle body.
-    """
+    """Name of the distance function (phy124/kernels/distance.py); empty for a particle body."""
     geometry: Any
-    """The three vectors from which the distance function computes the distance to the wall [m]."""
+    """Three vectors, the arguments of the distance function [m]."""
     slot: int
-    """Index (slot) of the track that contains the wall's displacement; 0 if the wall never
-    moves.
-    """
+    """Index of the track with the wall's displacement; 0: the wall never moves."""
     friction: float
-    """Coefficient of Coulomb friction."""
     sticky: bool
-    """Whether the liquid sticks to the wall."""
     frame: wp.array
     """State of the freely moving solid (phy124/kernels/free/numbers.py); empty for other walls."""
     reach: float = math.inf
-    """Largest distance from the centre of a freely moving solid to its surface [m]; infinite for
-    other walls.
-    """
+    """Largest distance from the centre of a freely moving solid to its surface [m]."""
 
     @property
     def moves(self) -> bool:
@@ -57,28 +47,24 @@ class Wall:
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """Walls of one shape that either all move or are all fixed, or one freely moving solid."""
+    """Walls of one shape, all moving or all fixed; or one freely moving solid."""
 
     shape: str
     moves: bool
     reach: float
-    """Largest distance from the centre of a freely moving solid to its surface [m]; infinite for
-    other walls.
-    """
+    """As `Wall.reach`."""
     first: int
-    """Index of the first wall in the group."""
     numbers: wp.array
-    """Indices of the walls in the group."""
     geometries: wp.array
-    """Shapes of the walls in the group, as three vectors each."""
+    """Three vectors for each wall."""
     frame: wp.array
-    """State of the freely moving solid (phy124/kernels/free/numbers.py); empty for other walls."""
+    """As `Wall.frame`."""
 
 
 def walls_of(
     boundaries: Iterable[tuple[str, Boundary]], model: Model, tracks: Tracks
 ) -> Iterator[Wall]:
-    """Yield the walls of named boundaries; add the boundaries' motions to the tracks."""
+    """Yield the walls of boundaries; add the boundaries' motions to the tracks."""
     t = types(model.real)
     for name, boundary in boundaries:
         parts = boundary.parts()
@@ -97,7 +83,7 @@ def walls_of(
 
 
 def walls_of_solids(bodies: FreeBodies, model: Model) -> Iterator[Wall]:
-    """Yield the surfaces of freely moving solids as walls without friction."""
+    """Yield the surfaces of solids as walls without friction."""
     t = types(model.real)
     for solid, frame in zip(bodies.all, bodies.numbers, strict=True):
         geometry = t.mat33(*np.ravel(solid.geometry()))
@@ -113,36 +99,30 @@ def walls_of_bodies(names: Iterable[str], model: Model) -> Iterator[Wall]:
 
 
 class Walls:
-    """Records the launches that write walls into the cells and move particles out of walls."""
+    """Launches that write walls into the cells and move particles out of walls."""
 
     def __init__(self, model: Model, tracks: Tracks, walls: Sequence[Wall]) -> None:
         self._model, self._tracks, self.all = model, tracks, tuple(walls)
         t, device = types(model.real), model.device
         rows = [(wall.friction, float(wall.sticky)) for wall in walls] or [(0.0, 0.0)]
         self.frictions = model.array(rows, t.vec2)
-        """Two numbers for each wall: the coefficient of friction; and 1 if the liquid sticks to the
-        wall, otherwise 0.
-        """
+        """For each wall: coefficient of friction; and 1 if the liquid sticks, otherwise 0."""
         slots = [wall.slot for wall in walls] or [0]
         self.slots = wp.array(np.array(slots, np.int32), dtype=int, device=device)
-        """Index (slot) of the track that contains each wall's displacement."""
+        """Index of each wall's track."""
         self.motions = wp.zeros((len(slots), 3), dtype=t.vec3, device=device)
-        """Velocity, angular velocity and centre of each wall, as three vectors."""
+        """Velocity, angular velocity and centre of each wall."""
         self.still = wp.zeros_like(self.motions)
-        """Motions of walls that are fixed: all zero."""
         self.move = any(wall.moves for wall in walls)
-        """Whether any wall moves or disappears."""
         self.follow_tracks = any(slot > 0 for slot in slots)
-        """Whether any wall moves along a track."""
         self.time = math.nan
-        """Time for which the positions of walls in the cells were computed [s]; NaN if unknown."""
+        """Time of the walls' positions in the cells [s]; NaN: unknown."""
         self._clock = wp.zeros(3, dtype=model.real, device=device)
         self._places, self._next = (wp.zeros_like(tracks.values) for _ in range(2))
         self._sample = tracks.record(self._clock, [self._next, wp.zeros_like(tracks.rates)])
         self._move = self._record_motions()
         self._groups = list(self._group_walls())
         self.rub = any(wall.friction > 0 or wall.sticky for wall in walls)
-        """Whether any wall has friction."""
 
     def place(self, time: float) -> None:
         """Move all walls with tracks to their positions at a time [s]."""
@@ -162,13 +142,13 @@ class Walls:
     def describe(
         self, cells: Cells, worker: int, workers: int, *, move: bool
     ) -> list[list[Recorded]]:
-        """Return a worker's kernel launches that write the geometry of the walls into the cells.
+        """Return a worker's launches that write the walls into the cells.
 
         Args:
-            cells: The cells, which the launches write.
+            cells: The cells.
             worker: Index of the worker.
             workers: Number of workers.
-            move: True: add the moving walls to the fixed walls; False: write the fixed walls.
+            move: True: the moving walls are added; False: the fixed walls are written.
 
         Returns:
             Three lists of launches; workers wait for each other between them.
@@ -186,9 +166,7 @@ class Walls:
     def _describe_group(
         self, cells: Cells, group: Group, worker: int, workers: int
     ) -> tuple[Recorded, list[Recorded]]:
-        """Return a worker's kernel launches that add a group of walls to the geometry in the cells:
-        one launch for the distances, and a list of launches for the open parts of faces and cells.
-        """
+        """Return the launch for distances, and the launches for open parts of faces and cells."""
         model, region = self._model, self._region(cells, group)
         shape = [group.numbers, group.geometries, self.slots, cells.lattice, cells.window]
         shape += [self._places, group.frame, region.box]
@@ -209,11 +187,7 @@ class Walls:
         return cells.region(group.reach, group.first)
 
     def share(self, cells: Cells, region: Region, worker: int, workers: int) -> Recorded:
-        """Return a worker's kernel launch that computes the B-splines' fractions inside walls.
-
-        The launch covers the cells of a region.
-
-        The solid fraction of a B-spline is the fraction inside walls.
+        """Return a worker's launch that computes the fractions of B-splines inside walls.
 
         Args:
             cells: The cells.
@@ -227,13 +201,12 @@ class Walls:
         return STAGE, self._model.launch(kernel, count, inputs, [cells.shares])
 
     def _record_motions(self) -> Any:
-        """Return the kernel launch that computes the walls' velocities up to the end of a step."""
         inputs = [self._tracks.clock, self._places, self._next, self.slots]
         kernel = make_motions(self._model.real)
         return self._model.launch(kernel, max(len(self.all), 1), inputs, [self.motions])
 
     def centre(self, cells: Cells) -> None:
-        """Move the region around a freely moving solid to the current position of the solid."""
+        """Move the region around a freely moving solid to the solid's position."""
         for number, wall in enumerate(self.all):
             if len(wall.frame):
                 region, x = cells.region(wall.reach, number), wall.frame.numpy()[:3]
@@ -243,7 +216,7 @@ class Walls:
     def push_out(
         self, cells: Cells, run: slice, state: State, sums: wp.array, *, stops: bool
     ) -> list[Recorded]:
-        """Return the kernel launches that move particles out of all walls.
+        """Return a worker's launches that move particles out of all walls.
 
         Args:
             cells: The cells.
@@ -266,7 +239,6 @@ class Walls:
         return launches
 
     def _group_walls(self) -> Iterator[Group]:
-        """Yield the groups of walls; one launch handles a group."""
         t, device = types(self._model.real), self._model.device
         # Each freely moving solid is a separate group, since it has its own frame of reference.
         keys = [
@@ -287,13 +259,13 @@ class Walls:
 
 
 def span(count: int, worker: int, workers: int) -> tuple[int, int]:
-    """Return the index of the first item that a worker handles, and the number of its items."""
+    """Return a worker's first item and the number of its items."""
     first, last = (count * index // workers for index in (worker, worker + 1))
     return first, last - first
 
 
 def wall_kernels(boundaries: Iterable[Boundary], solids: Iterable[str], real: Any) -> Iterator[Any]:
-    """Yield the kernels for the walls of these boundaries, and for solids of these shapes."""
+    """Yield the kernels for walls and for solids of these shapes."""
     yield from (kernels.make_solid_shares(real), make_motions(real))
     outlines = {part.outline() for wall in boundaries for part in wall.parts()}
     for shape in sorted(outlines | set(solids)):
