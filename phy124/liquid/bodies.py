@@ -76,7 +76,8 @@ class Bodies(Kept):
             grids: Grid of each body; the grid's window covers the body.
             free: Freely moving rigid solids; they are numbered before the bodies.
             work: Object that sums the work of the pressure on the bodies.
-            expect: Predicts the mean motion of the particles in a step; None: the present motion.
+            expect: Function that predicts the mean motion of the particles in a step; None: the
+                present motion.
         """
         self._model, self._state, self._grids = model, state, grids
         self._expect, self._motion, self.work = expect, (state.v, state.C), work

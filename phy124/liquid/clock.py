@@ -33,10 +33,10 @@ AVERAGED = 1.5
 steps. Between these two limits, the last pressure would amplify the vibrations.
 """
 LIGHT_RESOLVED = 8.0
-"""As `RESOLVED`, for a light body."""
+"""Smallest number of steps in a vibration period of a light body."""
 LIGHT_AVERAGED = 0.45
-"""As `AVERAGED`, for a light body. Between the two limits, the pressure would deform a light body
-more than the liquid can follow, which would create energy.
+"""Smallest number of a light body's vibration periods in a longer step. Between the limits, the
+pressure would deform a light body more than the liquid can follow, which would create energy.
 """
 
 

@@ -31,7 +31,7 @@ class WallImpulses:
             settle, 1, inputs=[len(names)], outputs=outputs, device=device, record_cmd=True
         )
         self.settle: Callable[[], Any] = launch.launch
-        """Adds the sums of a step to the totals and resets them."""
+        """Function that adds the sums of a step to the totals and resets the sums."""
 
     def rows(self, worker: int) -> wp.array:
         """Return a worker's row of `step` [walls,7]."""

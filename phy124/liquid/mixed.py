@@ -93,7 +93,7 @@ class MixedSolver(Solver):
         span = liquid_span(model)
         part = liquid_model(model, span)
         self.bodies: Bodies | None = None
-        """None only while the solver is constructed."""
+        """The other bodies; None only while the solver is constructed."""
         self._liquid: LiquidSolver | None = None
         super().__init__(
             model, state, forces=forces, boundaries=boundaries, accumulators=accumulators,

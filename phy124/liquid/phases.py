@@ -390,7 +390,7 @@ class Phases:
         return "walls", model.launch(kernel, parts, inputs, outputs)
 
     def _spread(self, worker: int, turn: int, sums: wp.array) -> Recorded:
-        """`sums` is empty for displacements."""
+        """Extrapolate velocities or displacements; `sums` is empty for displacements."""
         cells = self._cells
         known = [cells.known, cells.also]
         inputs = [self.viscosity.rate, cells.window, self._tracks.clock, known[turn % 2]]

@@ -103,7 +103,7 @@ class LiquidSolver(Kept):
         self.state = State.of(model) if state is None else state
         self.clock = LiquidClock(model, ceiling=ceiling)
         self.grids = grids_of(model)
-        """Without nodes; forces and reports expect a grid for each body."""
+        """Grids without nodes, because forces and reports expect a grid for each body."""
         count = usable_workers(len(model), model.device, threads)
         self.workers = [Worker(numbers(0, model), numbers(0, model)) for _ in range(count)]
         self.slabs, self.softened = None, 1.0
@@ -131,7 +131,7 @@ class LiquidSolver(Kept):
         self.kick = 0.0
         """Duration of the last step [s]."""
         self.follower: Callable[[], None] | None = None
-        """Called after each step, before `after` of `advance`."""
+        """Function that is called after each step, before the argument `after` of `advance`."""
         self._fitted = False
         self.crowding, self._excess = 0.0, 0.0
         """Largest mean excess of the liquid's density, as a fraction of the rest density; and the

@@ -24,7 +24,7 @@ class Viscosity:
         [1/s].
         """
         self.fastest = mixture.viscosity / (mixture.lightest * model.dx**2)
-        """The same rate at the smallest density [1/s], an upper bound."""
+        """Largest rate at which viscosity diffuses velocities to a neighbouring face [1/s]."""
         self.carry = wp.ones(1, dtype=wp.float64, device=model.device)
         """Factor on the last pressure, which is then the next initial guess."""
 

@@ -52,13 +52,13 @@ class Group:
     shape: str
     moves: bool
     reach: float
-    """As `Wall.reach`."""
+    """See `Wall.reach`."""
     first: int
     numbers: wp.array
     geometries: wp.array
     """Three vectors for each wall."""
     frame: wp.array
-    """As `Wall.frame`."""
+    """See `Wall.frame`."""
 
 
 def walls_of(

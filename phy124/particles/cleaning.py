@@ -1,7 +1,6 @@
 """Drops or repairs Gaussians that the simulation cannot use.
 
-All thresholds are relative to the object's size, which may be a micrometre or a kilometre. The
-rules apply in this order:
+All thresholds are relative to the object's size. The rules apply in this order:
 
 - Gaussians are dropped if a field contains NaN or infinity, or if a coordinate or scale is above
   `LARGEST`.
@@ -32,7 +31,6 @@ GIGANTIC = 0.5
 STRAY = 1e-3
 GAP = 0.05
 LARGEST = 1e18
-"""Largest coordinate and scale [m]; the squares of larger values overflow in float32."""
 WIDE = 16.0
 """Upper bound of the visible area of a Gaussian, relative to the median of all areas."""
 VISIBLE = 0.1
@@ -67,9 +65,7 @@ class Cleaning:
 
     @property
     def sentences(self) -> list[str]:
-        """Sentences for the report, one for each rule by which Gaussians were dropped or
-        changed.
-        """
+        """Sentences for the report, one for each rule that dropped or changed Gaussians."""
         texts = {
             "not_finite": "had NaN or infinite values and were dropped",
             "beyond": f"had a coordinate or scale above {LARGEST:g} m and were dropped",
@@ -86,8 +82,6 @@ class Cleaning:
 
 def clean(gaussians: Gaussians) -> tuple[Gaussians, Cleaning]:
     """Return the Gaussians that can be simulated and rendered, and the counts of changes.
-
-    The order of the Gaussians is kept; coincident Gaussians are allowed.
 
     Raises:
         InputError: If no visible Gaussian is left.
@@ -137,8 +131,7 @@ def compute_bounds(gaussians: Gaussians) -> tuple[NDArray[np.float64], NDArray[n
     deviation.
 
     At each end of each axis, the outermost 0.1 % of the opacity is excluded, so that a few faint
-    Gaussians do not affect the size. If there are more than 200,000 Gaussians, an evenly spaced
-    subset is used.
+    Gaussians do not affect the size.
     """
     every = 1 + len(gaussians) // 200_000
     some = gaussians.select(np.arange(len(gaussians)) % every == 0)
@@ -149,18 +142,17 @@ def compute_bounds(gaussians: Gaussians) -> tuple[NDArray[np.float64], NDArray[n
 
 
 def scale_to_size(gaussians: Gaussians, size: float, *, ground: bool = True) -> Gaussians:
-    """Scale and shift the object (`size_transform`), so that its longest side is `size` metres."""
+    """Scale and shift the object (`size_transform`); its longest side becomes `size` [m]."""
     return gaussians.transform(*size_transform(gaussians, size, ground=ground))
 
 
 def size_transform(
     gaussians: Gaussians, size: float, *, ground: bool = True
 ) -> tuple[float, NDArray[np.float64]]:
-    """Return the scale and offset [3] that make the longest side `size` m and centre the object.
+    """Return the scale and offset [3] that make the longest side `size` [m] and centre the object.
 
-    The object is centred at x = y = 0. If `ground` is set, the lowest visible point is placed at z
-    = 0. Visible points are within one standard deviation of Gaussians with an opacity of at least
-    0.1. If `ground` is not set, the object is also centred in z.
+    If `ground` is set, the lowest visible point is placed at z = 0. Visible points are within one
+    standard deviation of Gaussians with an opacity of at least 0.1.
 
     Raises:
         InputError: If the size is not positive.
@@ -187,7 +179,6 @@ def _are_finite(gaussians: Gaussians) -> NDArray[np.bool_]:
 
 
 def _are_near(gaussians: Gaussians) -> NDArray[np.bool_]:
-    """Return a mask of the Gaussians whose coordinates and scales are at most `LARGEST`."""
     near = [
         (np.abs(values) <= LARGEST).all(axis=1) for values in (gaussians.means, gaussians.scales)
     ]
@@ -240,7 +231,6 @@ def _are_gigantic(gaussians: Gaussians) -> NDArray[np.bool_]:
 
 
 def _are_stray(gaussians: Gaussians) -> NDArray[np.bool_]:
-    """Return a mask of the Gaussians in stray groups, which are separate and small."""
     if len(gaussians) * STRAY < 1:
         return np.zeros(len(gaussians), bool)
     means = gaussians.means.astype(np.float64)
@@ -276,7 +266,6 @@ def weighted_quantile(values: NDArray, weights: NDArray, fraction: float) -> NDA
 
 
 def _weighted_quantile(values: NDArray, weights: NDArray, below: float, fraction: float) -> float:
-    """Return the smallest value at which the cumulative weight of sorted values exceeds `below`."""
     values = np.ascontiguousarray(values, np.float64)
     # First sort only the lowest values, whose weight is usually sufficient.
     count = min(len(values), 8 + int(4 * fraction * len(values)))
@@ -289,7 +278,7 @@ def _weighted_quantile(values: NDArray, weights: NDArray, below: float, fraction
 
 
 def _lowest_height(gaussians: Gaussians) -> float:
-    """Return the smallest height that a visible Gaussian reaches at one standard deviation."""
+    """Return the smallest height that a visible Gaussian reaches at one standard deviation [m]."""
     visible = gaussians.opacities >= VISIBLE
     some = gaussians.select(visible) if visible.any() else gaussians
     z = some.means[:, 2].astype(np.float64)

@@ -11,13 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 FLAT = 3e-3
-"""Smallest component of a plane's normal; the sum of volumes loses precision if a component is
-almost zero.
-"""
+"""Smallest component of a normal; the sum of volumes loses precision near zero."""
 CORNERS = np.array(list(np.ndindex(2, 2, 2))) - 0.5
 """Corners of a cube of side 1, relative to its middle [8,3]."""
 SIGNS = np.prod(-2 * CORNERS, axis=1)
-"""Signs of the volumes of the tetrahedra at the eight corners of a cube [8]."""
 
 
 def below(normal: NDArray, height: NDArray, side: float = 1) -> NDArray[np.float64]:
@@ -53,9 +50,8 @@ def between(
 def moments_below(
     normal: NDArray, height: NDArray
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return moments of the part of each voxel below a plane, about the middle of the voxel.
-
-    The moments are the volume [K], the first moments [K,3] and the second moments [K,3,3].
+    """Return the volume [K], first moments [K,3] and second moments [K,3,3] of the part of each
+    voxel below a plane, about the middle of the voxel.
     """
     size, flip = np.maximum(np.abs(normal), FLAT).T, np.where(normal < 0, -1.0, 1.0).T
     depth = np.maximum(height - CORNERS @ size, 0)

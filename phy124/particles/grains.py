@@ -1,8 +1,7 @@
 """Adds grains: small round Gaussians inside materials that separate, such as sand.
 
 The Gaussians of a generator lie on the surface. When sand, snow or foam separates, the background
-would be visible between the Gaussians. Inner particles therefore get round Gaussians in the colours
-of the surface above them. Grains do not affect the motion.
+would be visible between the Gaussians. Grains do not affect the motion.
 """
 
 import math
@@ -19,22 +18,18 @@ from phy124.materials import AnyMaterial
 from phy124.particles.seeding import Particles
 
 SIZE = 0.55
-"""Standard deviation of a grain, in particle spacings. Regular arrangements of grains of this size
-look opaque.
-"""
+"""Standard deviation of a grain, in particle spacings; regular arrangements then look opaque."""
 CLEARANCE = 2.5
-"""Smallest depth of a grain below the surface at rest, in standard deviations of the grain."""
+"""Smallest depth of a grain below the surface, in standard deviations of the grain."""
 NEAREST = 0.5
 """Smallest distance between a grain and a Gaussian, in particle spacings."""
 OPACITY = 0.95
 LUMINANCE = (0.2126, 0.7152, 0.0722)
 """Weights of red, green and blue in the luminance (Rec. 709)."""
 PATCH = 0.06
-"""Standard deviation of the filter that averages the brightness around each Gaussian, relative to
-the object's size.
-"""
+"""Standard deviation of the filter for brightness, relative to the object's size."""
 CELLS = 48
-"""Number of cells of the grid for this filter along each axis."""
+"""Number of cells along each axis of the grid for the filter."""
 BRIGHTEST = 99.0
 """Percentile of the brightness that is at most white after Gaussians are tinted."""
 COARSEST = 0.005
@@ -56,10 +51,10 @@ def add_grains(
     """Append a Gaussian for each inner particle of a material that separates into grains.
 
     Args:
-        gaussians: The object at rest, N Gaussians, m.
-        particles: The simulated particles; particles without a Gaussian may get one.
-        moves: Mask of the moving Gaussians [N]; `particles.gaussian` contains indices into these.
-        materials: Materials of the particles; grains are added to materials with `grains` set.
+        gaussians: The object at rest, N Gaussians.
+        particles: The simulated particles.
+        moves: Mask of the moving Gaussians [N], to which `particles.gaussian` refers.
+        materials: Materials of the particles.
         spacing: Distance between neighbouring particles, m.
 
     Returns:
@@ -79,12 +74,8 @@ def add_grains(
 
 
 def leave_room(gaussians: Gaussians, x: NDArray, spacing: float) -> NDArray[np.bool_]:
-    """Return a mask [P] of the points that are far enough from all Gaussians for a grain.
-
-    Args:
-        gaussians: The object at rest.
-        x: Positions of inner particles [P,3], m.
-        spacing: Distance between neighbouring particles, m.
+    """Return a mask [P] of the points [P,3], m, that are far enough from all Gaussians for
+    a grain.
     """
     # A search within a small distance is fast. A search for the nearest Gaussian would be slow near
     # the centre of a ball, where all Gaussians are about equally far away.
@@ -96,27 +87,17 @@ def leave_room(gaussians: Gaussians, x: NDArray, spacing: float) -> NDArray[np.b
 def make_grains(
     gaussians: Gaussians, x: NDArray, spacing: float
 ) -> tuple[Gaussians, NDArray[np.int64]]:
-    """Return grains at points [P,3], and the index of the Gaussian nearest to each grain.
-
-    Args:
-        gaussians: The object at rest.
-        x: Positions of inner particles [P,3], m, with room for a grain (`leave_room`).
-        spacing: Distance between neighbouring particles, m.
+    """Return grains at inner points x [P,3], m, and the index of the Gaussian nearest to each
+    grain.
     """
     depth, above = map(np.asarray, scipy.spatial.KDTree(gaussians.means).query(x, workers=-1))
     return _round_gaussians(gaussians, x, above, depth, spacing), above
 
 
 def vary_brightness(gaussians: Gaussians, amounts: NDArray, seed: int) -> Gaussians:
-    """Change the brightness of each Gaussian at random.
+    """Change the brightness of each Gaussian at random, with standard deviations `amounts` [N].
 
-    A Gaussian that is larger than `FINE` shows the mean brightness of several grains, which varies
-    less. With full contrast it would look like a pebble.
-
-    Args:
-        gaussians: N Gaussians.
-        amounts: Standard deviation of the change of each grain's brightness, as a fraction [N].
-        seed: Seed of the random numbers.
+    A Gaussian larger than `FINE` shows the mean brightness of several grains, which varies less.
     """
     noise = np.random.default_rng(seed).standard_normal(len(gaussians))
     size = gaussians.scales.max(axis=1) / np.ptp(gaussians.means, axis=0).max()
@@ -130,13 +111,9 @@ def vary_brightness(gaussians: Gaussians, amounts: NDArray, seed: int) -> Gaussi
 def roughen(gaussians: Gaussians, amounts: NDArray, seed: int) -> Gaussians:
     """Shift Gaussians at random, so that a surface looks as if it were made of grains.
 
-    Args:
-        gaussians: N Gaussians.
-        amounts: Standard deviation of each Gaussian's shift along each axis, relative to the
-            Gaussian's largest standard deviation [N], or to `COARSEST` if this is smaller. The
-            shift does not depend on the accuracy, so results of different accuracies can be
-            compared.
-        seed: Seed of the random numbers.
+    `amounts` [N] are the standard deviations of the shifts along each axis, relative to each
+    Gaussian's largest standard deviation, or to `COARSEST` if this is smaller. The shift does not
+    depend on the accuracy, so results of different accuracies can be compared.
     """
     shifts = np.random.default_rng([seed, 1]).standard_normal(gaussians.means.shape).clip(-2, 2)
     most = COARSEST * float(np.ptp(gaussians.means, axis=0).max())
@@ -149,15 +126,14 @@ def tint(
 ) -> Gaussians:
     """Tint Gaussians in the colour of the material, and keep some of the picture's light and shade.
 
-    If a colour would be brighter than white, all Gaussians are darkened, so that the brightest
-    parts remain distinguishable.
+    If a colour would be brighter than white, all Gaussians are darkened.
 
     Args:
         gaussians: N Gaussians.
         chosen: Mask of the Gaussians to tint [N].
         colour: Red, green and blue, 0..1.
         shading: Fraction of the contrast in brightness that is kept.
-        fine: Whether only small dark features such as eyes keep their contrast, not larger patches.
+        fine: Whether only small dark features such as eyes keep their contrast.
     """
     brightness = gaussians.rgb[chosen] @ LUMINANCE
     if not len(brightness):
@@ -175,7 +151,6 @@ def tint(
 
 
 def _average(x: NDArray, values: NDArray) -> NDArray[np.float64]:
-    """Return the average of values [N] around each point [N,3], with a Gaussian filter."""
     low, size = x.min(axis=0), max(float(np.ptp(x, axis=0).max()), 1e-9)
     place = np.rint((x - low) / size * CELLS).astype(int).T
     shape = tuple(place.max(axis=1) + 1)
@@ -189,11 +164,6 @@ def _average(x: NDArray, values: NDArray) -> NDArray[np.float64]:
 def _round_gaussians(
     gaussians: Gaussians, x: NDArray, above: NDArray, depth: NDArray, spacing: float
 ) -> Gaussians:
-    """Return round Gaussians at the positions x [G,3] with the colours of the Gaussians `above`
-    [G].
-
-    The colours of the round Gaussians do not depend on the view direction.
-    """
     sh = np.zeros((len(x), *gaussians.sh.shape[1:]), gaussians.sh.dtype)
     sh[:, 0] = gaussians.sh[above, 0]
     size = np.minimum(SIZE * spacing, depth / CLEARANCE)

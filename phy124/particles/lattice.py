@@ -2,10 +2,9 @@
 
 The body is divided into cubic cells of side dx, from i dx to (i + 1) dx along each axis. Each cell
 has eight points of equal volume, at `c +- s1 e1 +- s2 e2 +- s3 e3`. Here c is the centre of the
-part of the body that lies in the cell; s^2 and e are the eigenvalues and eigenvectors of this
-part's second moments per volume. Together, the eight points have the volume, the centre and the
-second moments of this part of the body. In a full cell, the eight points are the 2 x 2 x 2 Gauss
-points. Without exact second moments, plates thinner than a cell would be too stiff.
+part of the body in the cell; s^2 and e are the eigenvalues and eigenvectors of this part's second
+moments per volume. In a full cell, the points are the 2 x 2 x 2 Gauss points. Without exact second
+moments, plates thinner than a cell would be too stiff.
 """
 
 import math
@@ -23,35 +22,31 @@ from phy124.particles.seeding import MAX_PARTICLES, Particles
 from phy124.particles.solid import MEMORY, Solid
 
 PER_CELL = 8
-"""Number of integration points in a cell."""
 SMALLEST = 1e-3
-"""Smallest filled fraction of a cell of a lattice that has integration points."""
+"""Smallest filled fraction of a cell with integration points."""
 FULLEST = 0.1
-"""In thin needles, the smallest fraction may be lower: this multiple of the filled fraction of the
-fullest cell.
+"""In thin needles, the smallest fraction is this multiple of the filled fraction of the fullest
+cell.
 """
 HAZE = 0.005
-"""Filled fraction below which a cell contains only stray Gaussians and has no surface points."""
+"""Filled fraction below which a cell contains only stray Gaussians."""
 TRACE = 0.1
 """A voxel has no surface points if its filled fraction is below this value and a neighbouring voxel
 is twice as full.
 """
 SLIVER, THIN_SLIVER = 0.15, 0.05
-"""A cell is a sliver if its filled fraction is small compared with its surroundings: below
-`THIN_SLIVER` f^2 or below `SLIVER` g^2. In this rule, f is the filled fraction of the fullest cell
-around the cell, and g is the smallest filled fraction in a block of 2 x 2 x 2 cells that touches
-the cell. A sliver is merged with a neighbouring cell. In parts of a body that are thinner than two
-cells, many cells have a small filled fraction. If `SLIVER` were used for both limits of slivers,
-plates turned by 45 degrees would bend up to 1.11 times too far. With a fixed limit for slivers,
-rods would bend up to 3.1 times too far.
+"""A cell is a sliver if its filled fraction is below `THIN_SLIVER` f^2 or below `SLIVER` g^2. Here
+f is the filled fraction of the fullest cell around the cell, and g is the smallest filled fraction
+in a block of 2 x 2 x 2 cells that touches the cell. If `SLIVER` were used for both limits, plates
+turned by 45 degrees would bend up to 1.11 times too far. With a fixed limit, rods would bend up to
+3.1 times too far.
 """
 AROUND = np.array([s for s in np.ndindex(3, 3, 3) if s != (1, 1, 1)]) - 1
-"""Steps from a cell of a lattice to its 26 neighbours."""
 APART = 0.5
-"""Distance between neighbouring surface points of a body [cells]."""
+"""Distance between neighbouring surface points [cells]."""
 ALIGNED = 1e-7
-"""Second moments of a cell that differ by less than this count as equal [cells^2]; the points of
-the cell are then aligned with the axes.
+"""Second moments that differ by less count as equal [cells^2]; the points are then aligned with the
+axes.
 """
 CORNERS = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
 
@@ -76,10 +71,6 @@ def lattice_of(solid: Solid, *, density: float, dx: float) -> Particles:
 
 @lru_cache(MEMORY)
 def _lattice_of(solid: Solid, dx: float) -> Particles:
-    """Return the integration points and surface points of a solid with density 1.
-
-    The last results are kept, because an object is often simulated several times.
-    """
     solid = _subdivide(solid, dx)
     cells = _find_cells(solid, dx)
     x, volume, copies = _points_of_pieces(solid, dx, cells)
@@ -100,7 +91,7 @@ def _lattice_of(solid: Solid, dx: float) -> Particles:
 
 
 def cells_of(points: Particles) -> Particles:
-    """Return a particle for each cell of eight points, to which a material can be assigned."""
+    """Return a particle for each cell of eight points."""
     centre = points.x.reshape(-1, PER_CELL, 3).mean(axis=1)
     return Particles(
         x=centre,
@@ -112,7 +103,7 @@ def cells_of(points: Particles) -> Particles:
 
 
 def points_of(cells: Particles, points: Particles) -> Particles:
-    """Return the points of some cells, in the order and with the materials of the cells."""
+    """Return the points of some cells, with the materials of the cells."""
     every = cells_of(points).x
     rows = np.concatenate([every, cells.x])
     # Among equal rows, the row of `every` comes first.
@@ -136,36 +127,27 @@ def points_of(cells: Particles, points: Particles) -> Particles:
 
 
 def repeat_for_points(values: NDArray | None) -> NDArray | None:
-    """Repeat each cell's value [C] for the cell's eight points [8C]; None remains None."""
+    """Repeat each cell's value [C] for the cell's eight points [8C]."""
     return None if values is None else np.repeat(values, PER_CELL, axis=0)
 
 
 def integration_points(solid: Solid, dx: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the integration points of all cells [8C,3], m, and their volumes [8C], m^3.
-
-    The x coordinate varies slowest.
-    """
+    """Return the integration points of all cells [8C,3], m, and their volumes [8C], m^3."""
     x, volume, _ = _points_of_pieces(solid, dx, _find_cells(solid, dx))
     return x, volume
 
 
 class _Cells(NamedTuple):
-    """The cells of a lattice in which the V voxels of a solid lie."""
-
     place: NDArray[np.int64]
-    """Indices of the cells in which the voxels lie [V,3]."""
+    """Index of each voxel's cell [V,3]."""
     part: NDArray[np.float64]
-    """Filled volume of each voxel, divided by the volume of a cell [V]."""
+    """Filled volume of each voxel, relative to a cell [V]."""
     number: NDArray[np.int64]
-    """For each voxel, the index of its cell after slivers have been merged with neighbouring cells
-    [V]. Cells are numbered so that the x coordinate varies slowest.
-    """
+    """Index of each voxel's cell after slivers have been merged [V]; x varies slowest."""
     clear: NDArray[np.bool_]
-    """Mask of the voxels with more than a trace of material [X,Y,Z]."""
 
 
 def _find_cells(solid: Solid, dx: float) -> _Cells:
-    """Return the cells of a lattice in which a solid's voxels lie."""
     index, fraction = solid.voxels[:2]
     place = np.floor((index + solid.first) * (solid.voxel / dx) + 1e-9).astype(np.int64)
     part = fraction * (solid.voxel / dx) ** 3
@@ -175,12 +157,10 @@ def _find_cells(solid: Solid, dx: float) -> _Cells:
 def _points_of_pieces(
     solid: Solid, dx: float, cells: _Cells
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int8] | None]:
-    """Return the integration points of all cells [8C,3], m, and their volumes [8C], m^3.
+    """Return the integration points of all cells [8C,3], m, their volumes [8C], m^3, and
+    `Particles.copies` [C,27].
 
-    The third result contains the copies of nodes.
-
-    A cell with several separate pieces occurs once for each piece. The copies [C,27] are as in
-    `Particles.copies`.
+    A cell occurs once for each of its separate pieces.
     """
     index, fraction, _, shift, spread = solid.voxels
     side = solid.voxel
@@ -215,10 +195,7 @@ def _points_of_pieces(
 
 
 def _clear(solid: Solid) -> NDArray[np.bool_]:
-    """Return a mask of the voxels with more than a trace of material [X,Y,Z].
-
-    Resampling leaves voxels with almost no material around the body.
-    """
+    """Resampling leaves voxels with almost no material around the body."""
     index, fraction = solid.voxels[:2]
     filled = np.zeros(solid.fraction.shape)
     filled[tuple(index.T)] = fraction
@@ -228,7 +205,7 @@ def _clear(solid: Solid) -> NDArray[np.bool_]:
 
 
 def surface_points(solid: Solid, dx: float) -> NDArray[np.float64]:
-    """Return points on the surface [S,3], m, and outward normals, as rows of six numbers [S,6].
+    """Return surface points [S,3], m, and outward normals, as rows of six numbers [S,6].
 
     The normal is zero on sheets, which have no single outward side.
     """
@@ -236,7 +213,6 @@ def surface_points(solid: Solid, dx: float) -> NDArray[np.float64]:
 
 
 def _surface_points(solid: Solid, dx: float, cells: _Cells) -> NDArray[np.float64]:
-    """Return the surface points with their normals, as rows in the layout of `surface_points`."""
     index, fraction, normal, _, _ = solid.voxels
     filled, cell = cells.clear, cells.number
     outside = (filled & ~scipy.ndimage.binary_erosion(filled))[tuple(index.T)]
@@ -257,13 +233,7 @@ def _surface_points(solid: Solid, dx: float, cells: _Cells) -> NDArray[np.float6
 def _merge_slivers(place: NDArray[np.int64], part: NDArray) -> NDArray[np.int64]:
     """Return the index of each voxel's cell [V]; slivers are merged with a neighbouring cell.
 
-    The nodes of a sliver are light, so squeezing a sliver would shorten the substep. After merging,
-    a sliver keeps its volume and moments, but has the weights of the neighbouring cell, continued
-    beyond the cell.
-
-    Args:
-        place: Index of each voxel's cell [V,3].
-        part: Volume of each voxel, relative to a cell [V].
+    The nodes of a sliver are light, which would shorten the substep.
     """
     low, size = place.min(axis=0) - 1, tuple((np.ptp(place, axis=0) + 3).tolist())
     flat = np.asarray(np.ravel_multi_index(tuple((place - low).T), size))
@@ -290,7 +260,6 @@ def _merge_slivers(place: NDArray[np.int64], part: NDArray) -> NDArray[np.int64]
 
 
 def _subdivide(solid: Solid, dx: float) -> Solid:
-    """Return the solid, divided into voxels that are not larger than a cell of the lattice."""
     parts = round(solid.voxel / dx)
     if parts <= 1:
         return solid
@@ -303,7 +272,7 @@ def _subdivide(solid: Solid, dx: float) -> Solid:
 
 
 def _sums(which: NDArray, values: NDArray, count: int) -> NDArray[np.float64]:
-    """Return the sums of the rows of `values` [V,K] in each of `count` groups [count,K]."""
+    """Return the sums of the rows of `values` [V,K] in each group [count,K]."""
     total = np.zeros((count, values.shape[1]))
     for number, column in enumerate(values.T):
         total[:, number] = np.bincount(which, column, count)
@@ -311,9 +280,6 @@ def _sums(which: NDArray, values: NDArray, count: int) -> NDArray[np.float64]:
 
 
 def _spread_along(rows: NDArray, distance: float) -> NDArray[np.float64]:
-    """Return four copies of each surface point of a body, shifted by a distance [m] along the
-    surface.
-    """
     normal = rows[:, 3:]
     helper = np.eye(3)[np.argmin(np.abs(normal), axis=1)]
     first = np.cross(normal, helper)
@@ -327,7 +293,7 @@ def _spread_along(rows: NDArray, distance: float) -> NDArray[np.float64]:
 
 
 def _outermost(rows: NDArray, side: float) -> NDArray[np.float64]:
-    """Return the outermost of the surface points in each cube."""
+    """Return the outermost surface point in each cube."""
     cube = np.floor(rows[:, :3] / side - 1e-6).astype(np.int64)
     low, size = cube.min(axis=0), np.ptp(cube, axis=0) + 1
     _, which = np.unique(np.ravel_multi_index((cube - low).T, size), return_inverse=True)

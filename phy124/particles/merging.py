@@ -1,8 +1,7 @@
 """Merges neighbouring Gaussians to make files smaller.
 
-Two Gaussians are replaced by one Gaussian with their joint mean, covariance and colour, weighted by
-mass (opacity times volume). The opacity of the new Gaussian preserves the mass. If this opacity
-would exceed `OPAQUE`, the new Gaussian is enlarged instead.
+A new Gaussian has the joint mean, covariance and colour of two Gaussians, weighted by mass (opacity
+times volume). If its opacity would exceed `OPAQUE`, the new Gaussian is enlarged instead.
 """
 
 from dataclasses import replace
@@ -17,21 +16,16 @@ from phy124.gaussians import Gaussians, quaternions
 from phy124.io.clip import Clip
 
 COLOUR = 0.1
-"""Distance that counts as much as a colour difference of 1 when Gaussians are grouped, relative to
-the object's size.
-"""
+"""Distance, relative to the object's size, that counts as much as a colour difference of 1."""
 NEIGHBOURS = 6
-"""Number of nearest neighbours among which a partner is searched for each Gaussian."""
+"""Number of nearest neighbours among which a partner is searched."""
 OPAQUE = 0.99
-"""Largest opacity of a merged Gaussian."""
 SAMPLES = 5
-"""Number of frames in which the Gaussians of a clip are compared before they are grouped."""
+"""Number of frames in which the Gaussians of a clip are compared."""
 
 
 def group_neighbours(places: NDArray, count: int) -> NDArray[np.int64]:
-    """Assign each point [N,D] to one of `count` groups [N] by repeatedly merging pairs of
-    neighbours.
-    """
+    """Assign each point [N,D] to one of `count` groups [N] by merging pairs of neighbours."""
     label = np.arange(len(places))
     while len(places) > count:
         near, other = scipy.spatial.KDTree(places).query(
@@ -63,13 +57,10 @@ def group_neighbours(places: NDArray, count: int) -> NDArray[np.int64]:
 def merge_groups(
     gaussians: Gaussians, group: NDArray[np.int64], opacities: NDArray | None = None
 ) -> Gaussians:
-    """Merge each of G groups into one Gaussian with the group's mass, mean and colour.
+    """Merge the Gaussians of each of G groups; `group` [N] has the index of each Gaussian's group.
 
-    Args:
-        gaussians: N Gaussians.
-        group: Index of the group of each Gaussian [N].
-        opacities: Prescribed opacities [G]; the sizes are then adapted to preserve the mass. None:
-            opacities that preserve mass and covariance, up to the limit `OPAQUE`.
+    Mass, mean and colour are kept. With prescribed `opacities` [G], sizes are adapted to preserve
+    the mass; otherwise the covariance is kept, too, up to the limit `OPAQUE`.
     """
     volume = gaussians.scales.astype(np.float64).prod(axis=1)
     mass = np.maximum(gaussians.opacities * volume, 1e-300)
@@ -102,10 +93,6 @@ def merge_groups(
 def merge_to(gaussians: Gaussians, count: int) -> Gaussians:
     """Merge Gaussians until at most `count` are left.
 
-    Args:
-        gaussians: The Gaussians.
-        count: Largest number of Gaussians in the result.
-
     Raises:
         InputError: If `count` is below 1.
     """
@@ -119,10 +106,6 @@ def merge_to(gaussians: Gaussians, count: int) -> Gaussians:
 
 def merge_clip_to(clip: Clip, count: int) -> Clip:
     """Merge the Gaussians of a clip that stay together; only colours of degree 0 are kept.
-
-    Args:
-        clip: The clip.
-        count: Largest number of Gaussians in the result.
 
     Raises:
         InputError: If `count` is below 1.
@@ -146,7 +129,7 @@ def merge_clip_to(clip: Clip, count: int) -> Clip:
 
 
 def check_not_empty(count: int) -> None:
-    """Check that a number of Gaussians is at least 1.
+    """Raise an error if no Gaussians would be left.
 
     Raises:
         InputError: If the number is below 1.
@@ -156,8 +139,8 @@ def check_not_empty(count: int) -> None:
 
 
 def _feature_points(means: list[NDArray], rgb: NDArray) -> NDArray:
-    """Return a point [N,3T+3] for each Gaussian. Two points are close if their Gaussians have
-    similar colours and are close in all T frames.
+    """Return a point [N,3T+3] for each Gaussian. Points are close if their Gaussians have similar
+    colours and are close in all T frames.
     """
     size = max(float(np.ptp(means[0], axis=0).max()), 1e-12)
     return np.concatenate([*(x / size / len(means) ** 0.5 for x in means), COLOUR * rgb], axis=1)

@@ -1,13 +1,12 @@
 """Finds pieces of a body that lie in one cell, or at one node, without being connected.
 
-Parts of a body that are connected only far away, such as two prongs, may lie in one cell or in the
-support of one node. Each piece of a cell then gets integration points, and each connected piece in
-the support of a node gets a copy of the node, so that the pieces move independently (phantom nodes
-of Hansbo and Hansbo 2004, doi 10.1016/j.cma.2003.12.041; Nesme, Kry, Jerabkova and Faure 2009, doi
-10.1145/1531326.1531358).
+Parts that are connected only far away, such as two prongs, move independently: each piece of a cell
+gets integration points, and each connected piece in the support of a node gets a copy of the node
+(phantom nodes of Hansbo and Hansbo 2004, doi 10.1016/j.cma.2003.12.041; Nesme, Kry, Jerabkova and
+Faure 2009, doi 10.1145/1531326.1531358).
 
 Voxels are connected by faces, edges and corners, so that a thin slanted sheet stays whole. Parts
-without connection to the body, such as specks around it, share its nodes and move with it.
+without connection to the body, such as specks, share its nodes.
 """
 
 from typing import NamedTuple
@@ -17,20 +16,18 @@ import scipy
 from numpy.typing import NDArray
 
 AHEAD = np.array([step for step in np.ndindex(3, 3, 3) if step > (1, 1, 1)]) - 1
-"""Index offsets from a cell or voxel to half of its 26 neighbours. The offsets to the other half of
-the neighbours have the opposite signs.
+"""Index offsets from a cell or voxel to half of its 26 neighbours; the others have opposite
+signs.
 """
 AROUND = np.stack(np.meshgrid(*[np.arange(-1, 2)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
 """Index offsets from a cell or node to itself and to its 26 neighbours."""
 LEAST = 0.08
-"""If the filled fraction of a sliver that forms a separate piece of the body is below this value,
-the sliver is not merged with another piece. If this sliver were merged with a neighbouring cell, it
-would spread the points of this cell. With a limit of 0.03, a thin disc turned inside out when it
-was pushed.
+"""A separate sliver with a smaller filled fraction is not merged with another piece. With a limit
+of 0.03, a thin disc turned inside out when it was pushed.
 """
 TOUCH = np.abs(AROUND[:, None] - AROUND[None]).max(axis=2) <= 1
-"""For each pair of the 27 offsets in `AROUND`, whether the offsets lead to neighbours or to the
-same place [27,27].
+"""For each pair of offsets in `AROUND`: whether they lead to neighbours or to the same place
+[27,27].
 """
 
 
@@ -38,15 +35,13 @@ class Pieces(NamedTuple):
     """Connected pieces of a body in the cells of its lattice, sorted by cell."""
 
     of_voxel: NDArray[np.int64]
-    """Index of the piece to which each voxel belongs [V]."""
+    """Index of each voxel's piece [V]."""
     clump: NDArray[np.int64]
-    """Index of the clump to which each voxel belongs [V]. A clump consists of connected voxels in a
-    cell of the lattice, or of one voxel with only a trace of material.
+    """Index of each voxel's clump [V]. A clump consists of connected voxels in a cell, or of one
+    voxel with only a trace of material.
     """
     links: NDArray[np.int64]
-    """Distinct pairs of clumps of voxels that touch [M,2]; voxels with only a trace of material are
-    left out.
-    """
+    """Distinct pairs of clumps that touch [M,2], without traces of material."""
 
 
 def find_pieces(
@@ -62,13 +57,11 @@ def find_pieces(
     Args:
         index: Indices of the voxels that are not empty [V,3].
         place: Indices of the cells in which the voxels lie [V,3].
-        cell: For each voxel, the index of its cell [V]; this cell may be a neighbour of the cell in
-            which the voxel lies. Pieces are sorted by this number.
+        cell: Index of each voxel's cell after slivers have been merged [V].
         part: Volume of each voxel, relative to a cell [V].
-        clear: Whether each voxel connects its neighbours [V]; voxels with only a trace of material
-            do not.
-        sliver: If one of several pieces in a cell is smaller than this fraction of the cell, it
-            joins a connected piece in a neighbouring cell.
+        clear: Whether each voxel connects its neighbours [V]; traces of material do not.
+        sliver: Fraction of a cell below which one of several pieces joins a connected piece in a
+            neighbouring cell.
     """
     clump, touching, contact = _find_clumps(index, place, clear)
     of = np.zeros(clump.max() + 1, np.int64)
@@ -121,8 +114,8 @@ def find_copies(
     Args:
         pieces: The E pieces.
         cell: For each piece, the indices of the cell whose nodes the piece uses [E,3].
-        place: Indices of the cells in which the voxels lie [V,3]. For slivers that were merged with
-            another cell, these cells differ from the cells of the pieces.
+        place: Indices of the cells in which the voxels lie [V,3]; for merged slivers, these differ
+            from `cell`.
         volume: Volumes of the voxels [V]. The largest connected piece in the support of a node
             uses the node's first copy.
     """
@@ -168,12 +161,6 @@ def _copies_of_parts(
     copies.
 
     A part lies in a single cell. Parts of one piece are connected, because they use common nodes.
-
-    Args:
-        cell: Indices of the cells in which the parts lie [A,3].
-        piece: Index of the piece of each part [A].
-        pairs: Pairs of parts that touch [M,2].
-        volume: Volumes of the parts [A].
     """
     count = len(cell)
     ones = np.ones(count, np.float32)
@@ -209,9 +196,8 @@ def _copies_of_parts(
 
 
 def _same_nodes(step: NDArray[np.int64]) -> NDArray[np.int8]:
-    """Return the numbers [L,27] that the nodes of a cell have in another cell.
-
-    The other cells are at `step` [L,3]; the number of a node outside the other cell is -1.
+    """Return the numbers [L,27] that the nodes of a cell have in the cell at `step` [L,3]; -1:
+    none.
     """
     ways = np.array(list(np.ndindex(5, 5, 5)))[:, None] - 2 + AROUND
     table = np.where((np.abs(ways) <= 1).all(axis=2), (ways + 1) @ [9, 3, 1], -1).astype(np.int8)
@@ -223,14 +209,7 @@ def _same_nodes(step: NDArray[np.int64]) -> NDArray[np.int8]:
 def _doubtful_nodes(
     keys: NDArray, linked: NDArray, strides: NDArray, count: int
 ) -> NDArray[np.bool_]:
-    """Return a mask [K] of the nodes in whose support pieces of the body may be separate.
-
-    Args:
-        keys: Flat indices of the pieces' cells [E].
-        linked: Flat indices of the cells of linked pieces in neighbouring cells [L,2].
-        strides: Strides of the flat indices.
-        count: Number of flat indices.
-    """
+    """Return a mask [K] of the nodes in whose support pieces of the body may be separate."""
     number = np.bincount(keys, minlength=count)
     filled = number > 0
     odd = number > 1
@@ -267,18 +246,7 @@ def _doubtful_nodes(
 def _rank(
     group: NDArray, node: NDArray, island: NDArray, volume: NDArray, count: int
 ) -> NDArray[np.int64]:
-    """Return which copy of a node each piece uses.
-
-    The result has a number [K] for each use of a node by a piece of the body in a cell.
-
-    Args:
-        group: Connected group of each use [K]; all uses in a group refer to one node.
-        node: Node of each use [K].
-        island: Connected part of the body of each use [K]; parts other than the largest part in a
-            node's support use the first copy.
-        volume: Volume of the piece of each use [K].
-        count: Number of groups.
-    """
+    """Return which copy of a node each piece uses [K]."""
     size = np.bincount(group, volume, count)
     of_node, of_island = np.zeros(count, np.int64), np.zeros(count, np.int64)
     of_node[group], of_island[group] = node, island
@@ -295,15 +263,8 @@ def _rank(
 def _find_clumps(
     index: NDArray, place: NDArray, clear: NDArray[np.bool_]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Return the clumps of connected voxels in a body.
-
-    The results are each voxel's clump [V], distinct pairs of clumps that touch [M,2], and the
-    number of contacts between their voxels [M].
-
-    Args:
-        index: Indices of the voxels [V,3].
-        place: Indices of the cells in which the voxels lie [V,3].
-        clear: Whether each voxel connects its neighbours [V].
+    """Return each voxel's clump [V], distinct pairs of clumps that touch [M,2], and the number of
+    contacts between their voxels [M].
     """
     low, shape = index.min(axis=0) - 1, np.ptp(index, axis=0) + 3
     flat = np.asarray(np.ravel_multi_index((index - low).T, shape))[clear]
@@ -327,9 +288,8 @@ def _find_clumps(
 def _distinct(
     pairs: NDArray, count: int, size: NDArray | int = 1
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return all distinct pairs [L,2] of different items, and the total size of each pair [L].
-
-    The smaller item comes first; the total size is the sum over all occurrences of the pair.
+    """Return all distinct pairs [L,2] of different items, the smaller item first, and the total
+    size of each pair [L].
     """
     low, high = np.minimum(*pairs.T), np.maximum(*pairs.T)
     apart = low < high
@@ -341,7 +301,6 @@ def _distinct(
 
 
 def _components(pairs: NDArray, count: int) -> tuple[int, NDArray[np.int64]]:
-    """Return the number of groups of connected items, and the group of each of `count` items."""
     ones = np.ones(len(pairs), np.int8)
     graph = scipy.sparse.coo_matrix((ones, (pairs[:, 0], pairs[:, 1])), shape=(count, count))
     number, group = scipy.sparse.csgraph.connected_components(graph, directed=False)

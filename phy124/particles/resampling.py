@@ -1,8 +1,6 @@
 """Computes the material in the voxels of a new grid from the surface of a solid.
 
-Each cube of the old grid is divided at the borders of the new voxels. The volumes and moments of
-the parts between two planes are exact, so the new voxels keep the volume, the centre and the second
-moments of the solid.
+The new voxels keep the volume, the centre and the second moments of the solid.
 """
 
 from __future__ import annotations
@@ -18,39 +16,31 @@ from phy124.particles.cuts import moments_below
 from phy124.particles.surface import Cubes, Surface
 
 ROUNDING = 1e-9
-"""If positions of two voxels' borders differ by less than this, the borders count as equal
-[voxels].
-"""
+"""Borders of voxels that differ by less count as equal [voxels]."""
 SMALLEST = 1e-6
-"""A part of a cube is ignored if one of its sides is shorter than this [new voxels]."""
+"""Shortest side of a part of a cube that is not ignored [new voxels]."""
 
 
 class Material(NamedTuple):
-    """The material in V voxels; the unit of length is a voxel."""
+    """The material in V voxels; lengths are in voxels."""
 
     voxel: NDArray[Any]
-    """Indices of the voxels in the flattened grid, in ascending order [V]."""
+    """Indices in the flattened grid, in ascending order [V]."""
     fraction: NDArray[Any]
-    """Filled fractions of the voxels [V]."""
     shift: NDArray[Any]
-    """Centres of the voxels' filled parts, relative to the middles of the voxels [V,3]."""
+    """Centres of the filled parts, relative to the middles of the voxels [V,3]."""
     spread: NDArray[Any]
-    """Second moments of the voxels' filled parts about their centres, divided by the parts' volumes
-    [V,3,3].
-    """
+    """Second moments of the filled parts about their centres, divided by the volumes [V,3,3]."""
 
 
 class _Moments(NamedTuple):
-    """Moments of parts of cubes about the middles of the new voxels in which they lie."""
+    """Moments of parts of cubes about the middles of the new voxels."""
 
     voxel: NDArray[Any]
-    """Indices of the new voxels in which the parts lie, in the flattened grid [K]."""
+    """Indices of the new voxels in the flattened grid [K]."""
     volume: NDArray[Any]
-    """Volumes of the parts [K]."""
     first: NDArray[Any]
-    """First moments of the parts [K,3]."""
     second: NDArray[Any]
-    """Second moments of the parts [K,3,3]."""
 
     def select(self, mask: NDArray[np.bool_]) -> _Moments:
         return _Moments(*(values[mask] for values in self))
@@ -63,7 +53,7 @@ def average(
 
     Args:
         values: Values of voxels [X,Y,Z]; zero elsewhere.
-        first: Index of the first voxel [3]; the voxel's lower corner is at first * voxel.
+        first: Index of the first voxel [3]; its lower corner is at first * voxel.
         voxel: Side of the voxels [m].
         step: Side of the other voxels [m].
 
@@ -96,8 +86,7 @@ def move_material(
     """Return the material in the voxels of a new grid.
 
     Args:
-        full: Full voxels of the old grid, as indices along each axis [F,3]. Voxels that lie within
-            new voxels of `inner` may be missing.
+        full: Full voxels of the old grid [F,3]; those within `inner` may be missing.
         surface: The material of voxels at the surface.
         low: Lower corner of the old grid, relative to that of the new grid [3], in new voxels.
         side: Side of an old voxel, in new voxels.
@@ -121,7 +110,6 @@ def move_material(
 
 
 def _full_voxels(inner: NDArray[np.bool_]) -> _Moments:
-    """Return the moments of voxels that are full."""
     voxel = np.flatnonzero(inner)
     count = len(voxel)
     second = np.tile(np.eye(3) / 12, (count, 1, 1))
@@ -131,10 +119,7 @@ def _full_voxels(inner: NDArray[np.bool_]) -> _Moments:
 def _move_cubes(
     cubes: Cubes, low: NDArray, side: float, size: float, shape: tuple[int, ...]
 ) -> list[_Moments]:
-    """Divide cubes at the borders of the new voxels, and return the moments of their parts.
-
-    A cube has a side of `size` new voxels.
-    """
+    """Divide cubes with a side of `size` new voxels, and return the moments of their parts."""
     reach = size * np.abs(cubes.normal).sum(axis=1) / 2
     upper, lower = side * cubes.upper, side * cubes.lower
     some = (cubes.weight > 0) & (upper > -reach) & (lower < reach) & (upper > lower)
@@ -148,9 +133,8 @@ def _move_cubes(
 
 
 def _divide_even(corner: NDArray, size: float, weight: NDArray, shape: tuple[int, ...]) -> _Moments:
-    """Divide cubes that are filled evenly, and return the moments of their parts.
-
-    The cubes have the lower corners `corner` [B,3] and the filled fractions `weight` [B].
+    """Divide evenly filled cubes with lower corners `corner` [B,3] and filled fractions `weight`
+    [B].
     """
     which, voxel, middle, sides = _divide(corner, size)
     volume = sides.prod(axis=1) * weight[which]
@@ -162,10 +146,7 @@ def _divide_even(corner: NDArray, size: float, weight: NDArray, shape: tuple[int
 def _divide_cut(
     cubes: Cubes, level: NDArray, low: NDArray, side: float, size: float, shape: tuple[int, ...]
 ) -> _Moments:
-    """Divide cubes that are cut by planes, and return the moments of their parts.
-
-    `level` is the height of the middle of each cube [B].
-    """
+    """Divide cubes that are cut by planes; `level` is the height of each cube's middle [B]."""
     which, voxel, middle, sides = _divide(low + side * cubes.corner, size)
     normal = cubes.normal[which]
     # A box between planes becomes a cube by stretching.
@@ -193,15 +174,11 @@ def _divide_cut(
 def _divide(
     corner: NDArray, size: float
 ) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]:
-    """Divide cubes at the borders of the new voxels.
-
-    Args:
-        corner: Lower corners of the cubes [B,3].
-        size: Side of the cubes.
+    """Divide cubes with lower corners [B,3] at the borders of the new voxels.
 
     Returns:
-        For each part, the number of its cube [K]; the index of its voxel along each axis [K,3]; its
-        middle, relative to the middle of the voxel [K,3]; and its sides [K,3].
+        For each part: number of its cube [K], index of its voxel [K,3], its middle relative to the
+        voxel's middle [K,3], and its sides [K,3].
     """
     first = np.floor(corner + SMALLEST).astype(np.int64)
     parts = []

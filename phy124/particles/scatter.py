@@ -1,8 +1,7 @@
 """Moves particles from a lattice to random positions, so that no rows are visible.
 
-Sand that spreads in thin layers is stretched to several times its length along the flow. Particles
-of a regular lattice would then form visible rows with empty grooves in between. Each particle stays
-in its lattice cell, so the density hardly varies.
+Sand that spreads in thin layers is stretched to several times its length. Particles of a regular
+lattice would then form visible rows.
 """
 
 from collections.abc import Sequence
@@ -15,9 +14,7 @@ from phy124.materials import AnyMaterial
 from phy124.particles.solid import Solid
 
 LARGEST = 0.5
-"""Largest shift of a particle along each axis, in particle spacings: half of the side of a lattice
-cell.
-"""
+"""Largest shift along each axis, in particle spacings: half of a lattice cell."""
 
 
 def scatter(
@@ -35,7 +32,7 @@ def scatter(
     Args:
         particles: P particles at rest.
         solid: The object's interior.
-        materials: Materials of the particles; those with `scatters` set shift their particles.
+        materials: Materials of the particles; `scatters` selects those that are shifted.
         spacing: Distance between neighbouring particles [m].
         seed: Seed of the random numbers.
     """

@@ -1,10 +1,7 @@
 """Places the particles and computes their volumes.
 
-The solid's volume in each lattice cell is divided evenly among the particles in the cell. The
-volume of a cell without particles is added to the nearest particle. The volumes of all particles
-add up to the volume of the solid. If a cell contains many surface Gaussians, their particles get
-small volumes. Small volumes do not affect stability, because the limit of the substep depends on
-stiffness and density, not on volume.
+The solid's volume in each lattice cell is divided evenly among the particles in the cell. Small
+volumes do not affect stability, because the limit of the substep depends on stiffness and density.
 """
 
 from __future__ import annotations
@@ -23,11 +20,11 @@ from phy124.particles.solid import Solid, find_interior, find_solid
 BINDINGS = ("lattice", "particles")
 MAX_PARTICLES = 8_000_000
 THIN = 4
-"""Largest width of a part of an object that counts as thin, in particle spacings."""
+"""Largest width of a thin part of an object, in particle spacings."""
 MOST_CELLS = 50_000_000
-"""Largest number of cells of a grid that is kept in memory."""
+"""Largest number of cells of a grid in memory."""
 SMALLEST = 0.01
-"""Smallest volume of a particle, relative to the mean volume of all particles."""
+"""Smallest volume of a particle, relative to the mean."""
 
 
 def make_particles(
@@ -43,7 +40,7 @@ def make_particles(
 
     Args:
         gaussians: The object, N Gaussians.
-        interior: Interior of the object from `find_interior`, if already known.
+        interior: Interior of the object (`find_interior`), if already known.
         density: Mass density, kg/m^3.
         spacing: Distance between particles, m: grid spacing / particles per cell and axis.
         binding: `lattice`: a lattice, denser in thin parts; `particles`: one particle per Gaussian,
@@ -101,7 +98,6 @@ def _check(density: float, spacing: float, binding: str) -> None:
 
 
 def _lattice(shape: Solid, room: _Room, spacing: float) -> NDArray[np.float64]:
-    """Return the lattice points (i + 1/2) * spacing that lie inside the solid, cell by cell."""
     cells, n = room.cells, round(room.side / spacing)
     if len(cells) * n**3 > MAX_PARTICLES:
         raise InputError(
@@ -121,7 +117,6 @@ def _lattice(shape: Solid, room: _Room, spacing: float) -> NDArray[np.float64]:
 
 
 def _keep_apart(points: NDArray, others: NDArray, distance: float) -> NDArray:
-    """Return the points that are farther than `distance` from all points of `others`."""
     if len(points) == 0:
         return points
     tree = scipy.spatial.KDTree(others, balanced_tree=False)  # built in half the time
@@ -132,11 +127,9 @@ def _keep_apart(points: NDArray, others: NDArray, distance: float) -> NDArray:
 def _lattice_with_gaussians(
     gaussians: Gaussians, lattice: NDArray, shape: Solid, spacing: float
 ) -> NDArray[np.float64]:
-    """Return positions of particles: lattice points, and Gaussians in parts that are thin.
+    """Return lattice points, and Gaussians in parts that are thin or without lattice points.
 
-    Gaussians in parts without lattice points are also returned.
-
-    Thin parts are stretched most and would tear if their particles were one grid cell apart.
+    Thin parts would tear if their particles were one grid cell apart.
     """
     means = gaussians.means.astype(np.float64)
     thin = shape.thin(means, THIN * spacing)
@@ -151,7 +144,6 @@ def _lattice_with_gaussians(
 
 
 def _outside_cells(points: NDArray, lattice: NDArray, side: float) -> NDArray[np.float64]:
-    """Return the points in those grid cells (of side `side`) that contain no lattice point."""
     place = np.floor(lattice / side).astype(np.int64)
     low = place.min(axis=0)
     shape = place.max(axis=0) - low + 1
@@ -166,7 +158,6 @@ def _outside_cells(points: NDArray, lattice: NDArray, side: float) -> NDArray[np
 
 
 def _cell_means(points: NDArray, side: float) -> NDArray[np.float64]:
-    """Return the mean of the points in each occupied cell of a grid; `side` is the cell's side."""
     if not len(points):
         return points
     cells = np.floor(points / side).astype(np.int64)
@@ -184,7 +175,6 @@ def _cell_means(points: NDArray, side: float) -> NDArray[np.float64]:
 
 
 def _order_by_cell(x: NDArray, side: float) -> NDArray[np.int64]:
-    """Return the order that sorts particles by cell; x varies slowest."""
     cells = np.floor((x - x.min(axis=0)) / side).astype(np.int64)
     return np.lexsort(cells.T[::-1])
 
@@ -212,14 +202,12 @@ def _share_volume(x: NDArray[np.float32], shape: Solid, room: _Room) -> NDArray[
 
 
 class _Room(NamedTuple):
-    """Volume of the solid in each cell of the lattice of particles."""
-
     side: float
-    """Side of a cell of the lattice [m]."""
+    """Side of a cell [m]."""
     cells: NDArray[np.int64]
-    """Indices of the lattice's cells that contain part of the solid [L,3]."""
+    """Indices of the cells that contain part of the solid [L,3]."""
     volume: NDArray[np.float64]
-    """Volume of the solid in each of these cells [L], m^3."""
+    """Volume of the solid in each cell [L], m^3."""
 
 
 def _room_per_cell(shape: Solid, spacing: float) -> _Room:

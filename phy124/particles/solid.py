@@ -43,21 +43,18 @@ Mask = NDArray[np.bool_]
 MAX_VOXELS = 4_000_000
 MAX_SAMPLES = 6_000_000
 ACROSS = 64
-"""Number of voxels along the object's longest side; fewer if the Gaussians are too sparse."""
+"""Number of voxels along the longest side; fewer if the Gaussians are too sparse."""
 COARSER = 1.2
-"""Factor by which the side of a voxel grows if samples on a finer grid are not connected."""
+"""Factor on the side of a voxel if samples are not connected."""
 SEAL = 0.065
-"""Half of the width of the widest gap in a surface that is sealed, relative to the object's longest
-side.
-"""
+"""Half of the width of the widest sealed gap, relative to the object's longest side."""
 CONNECTED = 6
-"""In a surface or cloud that counts as connected, an occupied voxel has on average at least this
-number of occupied neighbours (of 26).
+"""Smallest mean number of occupied neighbours (of 26) of an occupied voxel in a connected surface
+or cloud.
 """
 WHOLE = 1 - 1e-9
-"""A voxel counts as full if its filled fraction is at least this value."""
 MEMORY = 2
-"""Number of solids that are kept in memory for later runs with the same objects."""
+"""Number of solids that are kept for later runs with the same objects."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,11 +68,11 @@ class Solid:
     fraction: NDArray[np.float32]
     """Fraction of each voxel that is inside the object [X,Y,Z], 0..1."""
     surface: Surface | None = None
-    """Material of the voxels at the surface. If `surface` is None, the material is known from
-    `source`, or all voxels are filled evenly.
+    """Material of the voxels at the surface; None: see `source`, or all voxels are filled
+    evenly.
     """
     source: Solid | None = None
-    """The solid from which this solid was resampled, if its surface is known."""
+    """The solid from which this solid was resampled."""
 
     @cached_property
     def voxels(self) -> Voxels:
@@ -90,10 +87,6 @@ class Solid:
 
     @cached_property
     def _resampled(self) -> dict[float, Solid]:
-        """Resampled versions of this solid, by the side of a voxel [m].
-
-        A grid of cells that is twice as fine can use the same version.
-        """
         return {}
 
     @property
@@ -121,15 +114,10 @@ class Solid:
         return ~thick[tuple(np.clip(at, 0, np.array(thick.shape) - 1).T)]
 
     def resample(self, spacing: float, *, per_cell: int = 1) -> Solid:
-        """Resample the solid to voxels of about the same size that are aligned with a lattice of
-        particles.
+        """Return the solid with voxels of about the same size, aligned with particles `spacing` m
+        apart.
 
-        Several lattices may use the same voxels, which are computed only once.
-
-        Args:
-            spacing: Distance between particles [m].
-            per_cell: Number of particle spacings in a grid cell. If voxels are larger than one
-                spacing, their side is chosen so that no voxel crosses the faces of a cell.
+        There are `per_cell` spacings in a grid cell, and no voxel crosses the faces of a cell.
         """
         ratio = spacing / self.voxel
         count = round(1 / ratio) if ratio <= 1 else 1
@@ -139,15 +127,11 @@ class Solid:
         return self._resampled[step]
 
     def _on_voxels(self, step: float) -> Solid:
-        """Return the solid with voxels of another side length [m]."""
         first, fraction = average(self.fraction, self.first, self.voxel, step)
         source = None if self.surface is None else self
         return Solid(first, step, fraction.astype(np.float32), source=source)
 
     def _move_to(self, step: float) -> Material:
-        """Return the material of this solid in the voxels of a grid with another side
-        length [m].
-        """
         assert self.surface is not None
         full = self.fraction > 0
         for cubes in (self.surface.slabs, self.surface.edges):
@@ -165,16 +149,13 @@ def find_solid(gaussians: Gaussians, spacing: float) -> Solid:
 
 
 _kept: dict[bytes, Solid] = {}
-"""Solids, keyed by a digest of the Gaussians; the solid that was used last is the last entry."""
+"""Solids by digest of the Gaussians; the solid used last is the last entry."""
 _lock = threading.Lock()
-"""Lock for changes of `_kept`, because the jobs of the web page run in threads."""
+"""Lock of `_kept`, because the jobs of the web page run in threads."""
 
 
 def find_interior(gaussians: Gaussians) -> Solid:
-    """Find the solid that clean Gaussians enclose; the voxels depend only on the Gaussians.
-
-    The last `MEMORY` solids are kept, because an object is often simulated several times.
-    """
+    """Find the solid that clean Gaussians enclose; the last `MEMORY` solids are kept."""
     digest = _digest(gaussians)
     with _lock:
         solid = _kept.get(digest)
@@ -188,7 +169,6 @@ def find_interior(gaussians: Gaussians) -> Solid:
 
 
 def _digest(gaussians: Gaussians) -> bytes:
-    """Return a digest of all data that determine the solid."""
     digest = hashlib.blake2b(digest_size=16)
     for array in (gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacities):
         digest.update(array.tobytes())
@@ -208,8 +188,6 @@ def _find_interior(gaussians: Gaussians) -> Solid:
 
 @dataclass(frozen=True, eq=False)
 class _Voxels:
-    """Voxels of a grid that contain samples of the Gaussians."""
-
     first: NDArray[np.int64]
     voxel: float
     across: float
@@ -218,9 +196,7 @@ class _Voxels:
 
 
 def _voxelise(gaussians: Gaussians) -> _Voxels:
-    """Return the finest voxel grid on which samples are connected; if there is none, the finest
-    grid.
-    """
+    """Return the finest grid on which samples are connected, otherwise the finest grid."""
     extent = _extent(gaussians)
     finest, voxel = None, float(extent.max()) / ACROSS
     while finest is None or voxel <= 4 * finest.voxel:
@@ -250,9 +226,8 @@ def _admissible(gaussians: Gaussians, voxel: float, extent: NDArray) -> bool:
 
 
 def _samples_per_axis(gaussians: Gaussians, voxel: float) -> NDArray[np.float64]:
-    """Return the number of samples along each axis of each Gaussian [N,3].
-
-    The number is odd, with about one sample per voxel.
+    """Return the odd number of samples along each axis of each Gaussian [N,3], about one
+    per voxel.
     """
     sigma = gaussians.scales.astype(np.float64) / voxel
     return np.where(sigma > 0.25, 2 * np.ceil(sigma) + 1, 1)
@@ -273,9 +248,7 @@ def _rasterise(gaussians: Gaussians, voxel: float, extent: NDArray) -> _Voxels:
 
 
 def _sample(gaussians: Gaussians, voxel: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return sample points of the Gaussians [S,3], in voxels, and the Gaussian of each
-    point [S].
-    """
+    """Return sample points [S,3], in voxels, and the Gaussian of each point [S]."""
     counts = _samples_per_axis(gaussians, voxel).astype(np.int64)
     key = counts @ np.array([1, 10**5, 10**10])
     points, owners = [], []
@@ -293,20 +266,19 @@ def _sample(gaussians: Gaussians, voxel: float) -> tuple[NDArray[np.float64], ND
 
 
 def _unit_ball(counts: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Return lattice points [U,3] in the unit ball, with `counts` points per axis over [-1, 1]."""
+    """Return lattice points [U,3] in the unit ball, `counts` [3] along the axes."""
     axes = [np.linspace(-1, 1, n) if n > 1 else np.zeros(1) for n in counts]
     unit = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     return unit[(unit**2).sum(axis=1) <= 1 + 1e-9]
 
 
 def _mean_neighbours(occupied: Mask) -> float:
-    """Return the mean number of occupied neighbours of an occupied voxel."""
     around = scipy.ndimage.uniform_filter(occupied.astype(np.float32), 3, mode="constant") * 27 - 1
     return float(around[occupied].mean())
 
 
 def _find_inside(occupied: Mask, across: float) -> tuple[Mask, Mask]:
-    """Return the mask of the voxels inside the object, and the mask of all other voxels."""
+    """Return the masks of the voxels inside the object and outside."""
     widest = max(1, int(SEAL * across))
     region, enclosed = occupied.copy(), False
     for r in sorted({1, 2, 3, widest // 2, widest}):
@@ -326,13 +298,11 @@ def _find_inside(occupied: Mask, across: float) -> tuple[Mask, Mask]:
 
 
 def _flood_outside(free: Mask) -> Mask:
-    """Return the free voxels that are connected by faces to the first corner of the grid."""
     labels, _ = scipy.ndimage.label(free)  # pyright: ignore
     return labels == labels[0, 0, 0]
 
 
 def _find_enclosed(occupied: Mask) -> Mask:
-    """Return the voxels with occupied voxels in at least five of the six axis directions."""
     hits = np.zeros(occupied.shape, np.uint8)
     for axis in range(3):
         hits += np.logical_or.accumulate(occupied, axis=axis)
@@ -342,9 +312,9 @@ def _find_enclosed(occupied: Mask) -> Mask:
 
 
 def _deep_parts(mask: Mask) -> Mask:
-    """Return the connected parts of a mask that contain a cube of 3 x 3 x 3 voxels.
+    """Return the connected parts of a mask that contain 3 x 3 x 3 voxels.
 
-    Discs at the rim of a plate stick out, so that they enclose a layer above the plate.
+    Discs at the rim of a plate may enclose a layer above the plate.
     """
     labels, count = scipy.ndimage.label(mask)  # pyright: ignore
     deep = np.zeros(count + 1, bool)
@@ -355,7 +325,6 @@ def _deep_parts(mask: Mask) -> Mask:
 
 
 def _dilate(mask: Mask, radius: int) -> Mask:
-    """Dilate a mask by a cube of 2 radius + 1 voxels."""
     # OpenCV treats the last axis as image channels and is many times faster than SciPy.
     side, shape = 2 * radius + 1, mask.shape
     grown = cv2.dilate(np.ascontiguousarray(mask).view(np.uint8), np.ones((side, side), np.uint8))

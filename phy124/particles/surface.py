@@ -1,12 +1,12 @@
 """Finds the material in each voxel at the surface of an object, from samples of its Gaussians.
 
 The samples of a voxel are divided into faces: groups with similar outward normals. The normal of a
-sample is the shortest axis of its Gaussian. If the Gaussian is not flat, the normal is the
-direction from the centre of the material around the sample.
+sample is the shortest axis of its Gaussian, or else the direction from the centre of the material
+around the sample.
 
-The material of a voxel lies below a face. In a thin part, the material ends at the opposite face,
-which may lie in another voxel. At a convex edge, the material is below both faces; at a concave
-edge, it is below at least one face. The unit of length is a voxel.
+The material of a voxel lies below a face. In a thin part, the material ends at the opposite face.
+At a convex edge, the material is below both faces; at a concave edge, below at least one face. The
+unit of length is a voxel.
 """
 
 from __future__ import annotations
@@ -24,81 +24,69 @@ Array = NDArray[Any]
 Mask = NDArray[np.bool_]
 
 FLAT = 0.3
-"""A Gaussian is flat if its shortest standard deviation is less than this fraction of the second
-shortest."""
+"""Largest shortest standard deviation of a flat Gaussian, relative to the second shortest."""
 WINDOW = 5
-"""Side of the cube in which the centre of the material around a sample is computed [voxels]."""
+"""Side of the cube of material around a sample [voxels]."""
 NOISE = 0.15
-"""Standard deviation of the distances of flat Gaussians from their face that counts as noise
-[voxels].
-"""
+"""Standard deviation of flat Gaussians from their face that counts as noise [voxels]."""
 PARALLEL = 0.95
-"""Smallest cosine of the angle between the normals of two faces that count as parallel."""
+"""Smallest cosine of the angle between the normals of parallel faces."""
 OPPOSITE = 0.7
-"""Two faces are opposite if the cosine of the angle between a normal and the other, reversed normal
-is at least this value.
-"""
+"""Smallest cosine of the angle between a normal and the reversed normal of the opposite face."""
 THICKEST = 3.0
 """Largest thickness of a part of an object for which an opposite face is searched [voxels]."""
 ASIDE = 1.2
-"""Largest distance between the middles of two opposite faces, perpendicular to the normal
-[voxels].
-"""
+"""Largest distance between two opposite faces, perpendicular to the normal [voxels]."""
 TOGETHER = 0.5
-"""Opposite faces whose distances differ by less than this value are averaged [voxels]."""
+"""Opposite faces with a smaller difference in distance are averaged [voxels]."""
 NEIGHBOURS = 32
-"""Number of nearest faces among which the opposite faces of a face are searched."""
 THINNEST = 0.1
 """Smallest thickness of a sheet without an opposite face [voxels]."""
 BEYOND = 0.2
-"""Distance by which flat Gaussians at a convex edge may stick out beyond the edge [voxels]."""
+"""Distance by which flat Gaussians may stick out beyond a convex edge [voxels]."""
 PREFERRED = 0.6
-"""The part below a face in a neighbouring voxel is preferred if it is thinner than this multiple of
-the thickness in the voxel.
-"""
+"""The part below a neighbouring face is preferred if its thickness is below this multiple."""
 PARTS = 2
-"""Number of parts along each axis into which a voxel at an edge is divided."""
+"""Parts along each axis into which a voxel at an edge is divided."""
 AT_ONCE = 100_000
-"""Number of Gaussians whose rotation matrices are in memory at one time."""
+"""Number of rotation matrices in memory at one time."""
 UP = (0.0, 0.0, 1.0)
-"""Normal of a sample at the centre of the material around it, for example of a single sample."""
+"""Normal of a sample at the centre of the material around it, such as a single sample."""
 AROUND = [step for step in np.ndindex(3, 3, 3) if step != (1, 1, 1)]
-"""Steps to the 26 neighbours of a voxel, counted from the lower corner of the block of 27 voxels
-around it.
-"""
+"""Steps to the 26 neighbours, from the lower corner of the block of 27 voxels."""
 
 
 class Samples(NamedTuple):
     """Sample points in the Gaussians."""
 
     points: Array
-    """Positions of the samples, measured from the lower corner of the grid [S,3]."""
+    """Positions from the lower corner of the grid [S,3]."""
     owner: Array
     """Index of the Gaussian of each sample [S]."""
     normals: Array
     """Shortest axes of the Gaussians [N,3]; zero for Gaussians that are not flat."""
     thickness: Array
-    """Twice the shortest standard deviations of the Gaussians [N]."""
+    """Twice the shortest standard deviations [N]."""
 
 
 class Cubes(NamedTuple):
-    """Cubes of equal side; the material of each cube lies between two parallel planes."""
+    """Cubes of equal side, with material between two parallel planes."""
 
     voxel: Array
-    """Index, in the flattened grid, of the voxel that contains each cube [B]."""
+    """Index of each cube's voxel in the flattened grid [B]."""
     corner: Array
-    """Lower corners of the cubes [B,3]."""
+    """Lower corners [B,3]."""
     weight: Array
-    """Filled fraction of the space between the two planes in each cube [B]."""
+    """Filled fraction between the planes [B]."""
     normal: Array
     """Unit normals of the planes [B,3]."""
     upper: Array
-    """Distance of the upper plane from the middle of each cube, along the normal [B]."""
+    """Height of the upper plane above the middle of each cube [B]."""
     lower: Array
-    """Distance of the lower plane from the middle of each cube, along the normal [B]."""
+    """Height of the lower plane above the middle of each cube [B]."""
 
     def select(self, mask: Mask) -> Cubes:
-        """Return the cubes for which a mask is true."""
+        """Return the cubes in a mask."""
         return Cubes(*(values[mask] for values in self))
 
 
@@ -106,11 +94,11 @@ class Surface(NamedTuple):
     """The material in the voxels at the surface of an object; other voxels are full or empty."""
 
     slabs: Cubes
-    """Voxels near which all faces are parallel, as cubes."""
+    """Voxels near which all faces are parallel."""
     edges: Cubes
-    """Parts of all other voxels at the surface, as cubes."""
+    """Parts of all other voxels at the surface."""
     parts: int
-    """Number of parts along each axis into which each of these other voxels is divided."""
+    """Number of parts of such a voxel along each axis."""
 
     def fill(self, region: Mask) -> NDArray[np.float32]:
         """Return the filled fractions of all voxels [X,Y,Z], from a region and this surface."""
@@ -124,39 +112,34 @@ class Surface(NamedTuple):
 
 
 class _Faces(NamedTuple):
-    """The faces of the surface, in the order of their voxels; a voxel has at most one face for each
-    side.
-    """
+    """Faces in the order of their voxels; at most one for each side of a voxel."""
 
     voxel: Array
     """Index of each face's voxel in the flattened grid [K]."""
     side: Array
-    """Side of a cube, 0 to 5, whose direction is closest to each face's normal [K]."""
+    """Side of a cube, 0 to 5, closest to each normal [K]."""
     samples: Array
-    """Number of samples of each face [K]."""
     middle: Array
-    """Mean positions of the samples of each face [K,3]."""
+    """Mean positions of the samples [K,3]."""
     normal: Array
-    """Outward normals of the faces [K,3]."""
+    """Outward normals [K,3]."""
     top: Array
-    """Height of each face: the scalar product of its position and its normal [K]."""
+    """Scalar product of position and normal [K]."""
     thick: Array
-    """Thickness of the material below each face [K]; infinite if the face has no opposite face."""
+    """Thickness of the material below each face [K]; infinite without an opposite face."""
 
 
 class _Near(NamedTuple):
-    """For V voxels, the faces in and around each voxel."""
-
     voxel: Array
-    """Indices of the voxels in the flattened grid [V]."""
+    """Indices in the flattened grid [V]."""
     corner: Array
-    """Indices of the voxels along each axis [V,3]."""
+    """Indices along each axis [V,3]."""
     faces: Array
-    """Index of the nearest face for each of the six sides [V,6]; -1 if there is no face."""
+    """Index of the nearest face for each side [V,6]; -1: none."""
     is_own: Mask
-    """For each side, whether the nearest face lies in the voxel itself [V,6]."""
+    """Whether the nearest face lies in the voxel itself [V,6]."""
     main: Array
-    """Index of the main face, below which the voxel's material lies [V]."""
+    """Face below which the voxel's material lies [V]."""
 
     def select(self, mask: Mask) -> _Near:
         return _Near(*(values[mask] for values in self))
@@ -176,13 +159,7 @@ def shortest_axes(gaussians: Gaussians) -> Array:
 
 
 def find_surface(region: Mask, border: Mask, samples: Samples) -> Surface:
-    """Find the material in the voxels at the border of a region, from samples of the Gaussians.
-
-    Args:
-        region: Voxels that are inside the object or contain samples [X,Y,Z].
-        border: Voxels of the region that have a neighbour outside the region [X,Y,Z].
-        samples: All samples.
-    """
+    """Find the material in the border voxels [X,Y,Z] of a region, from samples of the Gaussians."""
     faces = _find_faces(region, border, samples)
     near = _find_faces_around(faces, border)
     main = faces.normal[near.main]
@@ -193,7 +170,6 @@ def find_surface(region: Mask, border: Mask, samples: Samples) -> Surface:
 
 
 def _find_faces(region: Mask, border: Mask, samples: Samples) -> _Faces:
-    """Divide the samples at the border of a region into faces."""
     points, owner = samples.points, samples.owner
     voxel = np.asarray(np.ravel_multi_index(tuple(points.astype(np.int32).T), region.shape))
     centres = _centres_around(region, points, voxel)
@@ -225,14 +201,10 @@ def _find_faces(region: Mask, border: Mask, samples: Samples) -> _Faces:
 
 
 def _directions(voxel: Array, out: Array, size: int) -> Array:
-    """Return the outward normals of samples [S,3] from their positions relative to the material.
+    """Return the outward normals of samples [S,3] from their positions `out` relative to the
+    material around.
 
     The samples of a voxel have the same normal, unless the voxel has two outer sides.
-
-    Args:
-        voxel: The voxel of each sample, as an index in the flattened grid [S].
-        out: Positions relative to the centre of the material around [S,3].
-        size: Number of voxels of the grid.
     """
     sums = [np.bincount(voxel, column, size).astype(np.float32) for column in out.T]
     total = np.stack(sums, axis=1)[voxel]
@@ -244,10 +216,8 @@ def _directions(voxel: Array, out: Array, size: int) -> Array:
 
 
 def _centres_around(region: Mask, points: Array, voxel: Array) -> Array:
-    """Return the centre of the material around each voxel [X*Y*Z,3].
-
-    Each sample has the same weight. A voxel of the region without samples has the mean weight of a
-    voxel with samples.
+    """Return the centre of the material around each voxel [X*Y*Z,3]. Voxels without samples have
+    the mean weight.
     """
     weight = np.bincount(voxel, minlength=region.size).astype(np.float64)
     empty = weight == 0
@@ -263,18 +233,14 @@ def _centres_around(region: Mask, points: Array, voxel: Array) -> Array:
 
 
 def _blur(values: Array, shape: tuple[int, ...]) -> Array:
-    """Return the mean of the values in the cube around each voxel [X*Y*Z]."""
+    """Return the mean in the cube around each voxel [X*Y*Z]."""
     mean = scipy.ndimage.uniform_filter(values.reshape(shape), WINDOW, mode="constant")
     return mean.ravel()
 
 
 def _find_opposite_faces(region: Mask, faces: _Faces, least: Array) -> _Faces:
-    """Return the faces with the thickness of the material below each face.
-
-    The thickness is infinite if no opposite face is near.
-
-    A sheet without opposite faces has the smallest possible thickness `least` [K]. Thicker sheets
-    extend equally to both sides.
+    """Return the faces with thicknesses; a sheet without opposite faces has the thickness `least`
+    [K].
     """
     thick = np.full(len(least), np.inf)
     depths = np.arange(1, THICKEST + 2)
@@ -306,14 +272,13 @@ def _find_opposite_faces(region: Mask, faces: _Faces, least: Array) -> _Faces:
 
 
 def _look_up(region: Mask, points: Array) -> Mask:
-    """Return for each point whether it lies in a region of voxels."""
     at = np.clip(points.astype(np.int64), 0, np.array(region.shape) - 1)
     inside: Mask = region[tuple(at.T)]
     return inside
 
 
 def _find_faces_around(faces: _Faces, border: Mask) -> _Near:
-    """Return the faces near each voxel at a border; voxels without a face nearby are left out.
+    """Return the faces near each voxel at a border.
 
     The main face is the face of the thinnest part. In thick parts, it is the face in the voxel with
     most samples, or the nearest face.
@@ -339,10 +304,7 @@ def _find_faces_around(faces: _Faces, border: Mask) -> _Near:
 
 
 def _find_planes(faces: _Faces, near: _Near) -> tuple[Array, Array]:
-    """Return the heights [V], [V] of two planes: above and below the material at each main face.
-
-    They are the mean heights of the parallel faces in the voxel, if there are any.
-    """
+    """Return the heights [V], [V] of the planes above and below the material at each main face."""
     normal, thick = faces.normal[near.main], faces.thick[near.main]
     turned = np.einsum("vsi,vi->vs", faces.normal[near.faces], normal)
     up, down = (turned > PARALLEL) & near.is_own, (turned < -PARALLEL) & near.is_own
@@ -357,17 +319,16 @@ def _find_planes(faces: _Faces, near: _Near) -> tuple[Array, Array]:
 
 
 def _make_slabs(faces: _Faces, near: _Near) -> Cubes:
-    """Return the voxels whose material lies between the planes of parallel faces, as cubes."""
     normal = faces.normal[near.main]
     planes = [height[:, None] for height in _find_planes(faces, near)]
     return _cubes(near.voxel, near.corner[:, None], np.ones((len(normal), 1)), normal, *planes)
 
 
 def _cut_edges(faces: _Faces, near: _Near) -> Cubes:
-    """Return the parts of voxels that have an edge, near which faces are not parallel.
+    """Return the parts of voxels near which faces are not parallel.
 
-    At convex edges, the material lies between the planes of the main face; the other faces
-    determine the filled fraction of this space. At concave edges, the parts are filled evenly.
+    At convex edges, the material lies between the planes of the main face. At concave edges, the
+    parts are filled evenly.
     """
     line = np.arange(PARTS) / PARTS
     inner = np.stack(np.meshgrid(line, line, line, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -395,13 +356,7 @@ def _cut_edges(faces: _Faces, near: _Near) -> Cubes:
 
 
 def _share_below(points: Array, normal: Array, top: Array) -> Array:
-    """Return the fractions [V,P] of the parts around points [V,P,3] that lie below planes.
-
-    Args:
-        points: Middles of the parts.
-        normal: Unit normals of the planes [V,3].
-        top: Heights of the planes [V,1].
-    """
+    """Return the fractions [V,P] of the parts around points [V,P,3] below planes."""
     extent = np.abs(normal).sum(axis=1)[:, None] / PARTS
     return np.clip(0.5 + (top - np.einsum("vpi,vi->vp", points, normal)) / extent, 0, 1)
 
@@ -409,16 +364,7 @@ def _share_below(points: Array, normal: Array, top: Array) -> Array:
 def _cubes(
     voxel: Array, corner: NDArray, weight: Array, normal: Array, upper: Array, lower: Array
 ) -> Cubes:
-    """Return the P cubes of each of V voxels.
-
-    Args:
-        voxel: Indices of the voxels in the flattened grid [V].
-        corner: Lower corners of the cubes [V,P,3].
-        weight: Filled fractions between the planes [V,P].
-        normal: Unit normals of the planes [V,3].
-        upper: Heights of the upper planes [V,1].
-        lower: Heights of the lower planes [V,1].
-    """
+    """Return the P cubes of each of V voxels; planes have the heights `upper` and `lower` [V,1]."""
     parts = corner.shape[1]
     half = 0.5 / round(parts ** (1 / 3))
     level = np.einsum("vpi,vi->vp", corner + half, normal)
@@ -435,12 +381,11 @@ def _sums(which: Array, values: Array) -> Array:
 
 
 def _normalise(vectors: Array) -> Array:
-    """Return unit vectors in the directions of vectors [K,3]."""
     unit: Array = vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-9)
     return unit
 
 
 def _weighted_mean(values: Array, weights: NDArray) -> Array:
-    """Return the weighted mean of each row [V]; zero if all weights are zero."""
+    """Return the weighted mean of each row [V]; zero without weights."""
     mean: Array = (values * weights).sum(axis=1) / np.maximum(weights.sum(axis=1), 1)
     return mean

@@ -1,13 +1,10 @@
 """Computes proportions of an object, which determine how well a grid resolves the object.
 
 The local thickness at a point is the diameter of the largest ball that contains the point and lies
-inside the object (Hildebrand and Ruegsegger 1997, Journal of Microscopy 185). A morphological
-opening with balls of a certain diameter removes exactly the parts that are thinner than this
-diameter.
+inside the object (Hildebrand and Ruegsegger 1997, Journal of Microscopy 185).
 
 The compliance is the deflection that the object, as an upright beam, would have if its own weight
-acted sideways (Euler and Bernoulli). An object with a heavy top on a thin stem has a large
-compliance.
+acted sideways (Euler and Bernoulli).
 """
 
 from __future__ import annotations
@@ -25,34 +22,31 @@ from phy124.particles.solid import ACROSS, Solid
 FRACTION = 0.1
 """Fraction of an object's volume that may be thinner than the reported thickness."""
 FOOT = 0.12
-"""Fraction of an object's height, at its foot, that is clamped when the compliance is computed."""
+"""Fraction of an object's height, at its foot, that is clamped."""
 
 
 class Proportions(NamedTuple):
     """Proportions of an object, independent of its size."""
 
     thickness: float
-    """Local thickness that nine tenths of the object's volume exceed, relative to the object's
-    longest side.
-    """
+    """Local thickness that nine tenths of the volume exceed, relative to the longest side."""
     compliance: float
-    """Mean deflection if the object's weight acts sideways, in units of L rho g L / E, where L is
-    the object's size.
+    """Mean deflection if the weight acts sideways, in units of L rho g L / E, where L is the
+    object's size.
     """
 
     @classmethod
     def of_report(cls, report: Mapping[str, Any]) -> Proportions | None:
-        """Return the proportions in the report of a run; None if they are missing."""
+        """Return the proportions in a report; None if they are missing."""
         thickness, compliance = report.get("thickness"), report.get("compliance")
         return None if thickness is None or compliance is None else cls(thickness, compliance)
 
 
 def measure_proportions(*objects: tuple[Solid, float]) -> Proportions:
-    """Return the smallest thickness and the largest compliance of one or more objects.
+    """Return the smallest thickness and the largest compliance of upright objects.
 
-    Args:
-        objects: Interior (`find_interior`) and longest side [m] of each upright object. The
-            thickness is relative to the longest side of the first object.
+    `objects` are pairs of interior (`find_interior`) and longest side [m]. The thickness is
+    relative to the longest side of the first object.
     """
     shapes = [interior.resample(size / ACROSS) for interior, size in objects]
     pairs = zip(shapes, (size for _, size in objects), strict=True)
@@ -64,8 +58,8 @@ def measure_proportions(*objects: tuple[Solid, float]) -> Proportions:
 def compliance(shape: Solid) -> float:
     """Return the mean deflection of an upright object in its softest horizontal direction [m].
 
-    The object is treated as a beam whose lowest part, `FOOT` high, is clamped. The beam is loaded
-    sideways by an acceleration `a` with `rho a / E = 1 / L`, where L is the object's longest side.
+    The beam is loaded sideways by an acceleration `a` with `rho a / E = 1 / L`, where L is the
+    object's longest side.
     """
     inside = _inside(shape)
     length, (_, _, height) = shape.voxel * max(inside.shape), inside.shape
@@ -87,17 +81,15 @@ def compliance(shape: Solid) -> float:
 
 
 def _inside(shape: Solid) -> NDArray[np.bool_]:
-    """Return the object's voxels in the smallest box that contains them."""
+    """Return the object's voxels in their bounding box."""
     inside = shape.fraction > 0.5 * min(1.0, shape.fraction.max())
     return inside[scipy.ndimage.find_objects(inside.astype(np.int8))[0]]
 
 
 @lru_cache(maxsize=4)
 def local_thickness(shape: Solid) -> float:
-    """Return the largest thickness [m] such that at most `FRACTION` of the object's volume is
-    thinner.
-
-    Parts that are thinner than a voxel count as one voxel thick.
+    """Return the thickness [m] that all but `FRACTION` of the object's volume exceeds, at least a
+    voxel.
     """
     # Removing the empty voxels around the solid halves the time to compute distances.
     inside = np.pad(_inside(shape), 1)

@@ -14,11 +14,8 @@ from phy124.io.content import MOST_KEPT
 
 FEWEST, MOST = 100, MOST_KEPT
 GIANT = 1e4
-"""A Gaussian counts as part of a background or as an error if its area, relative to the median
-area, exceeds this value.
-"""
+"""Area, relative to the median, above which a Gaussian counts as background or as an error."""
 BITS = 16
-"""Number of bits per coordinate on the space-filling curve."""
 
 
 def check_count(count: int | None) -> None:
@@ -33,7 +30,7 @@ def check_count(count: int | None) -> None:
 
 
 def with_count(make: Any, count: int | None) -> Any:
-    """Bind `count` to a generator's function, if it has an option for the number of Gaussians."""
+    """Bind `count` to a generator's function that has this option."""
     check_count(count)
     if count is None or "count" not in inspect.signature(make).parameters:
         return make
@@ -44,8 +41,7 @@ def thin(gaussians: Gaussians, count: int | None, *, seed: int = 0) -> Gaussians
     """Keep at most `count` Gaussians, enlarged to cover the original area.
 
     The kept Gaussians are evenly spaced along a space-filling curve, weighted by opacity and area.
-    The area in this weight is limited to `GIANT`, and the excess is not distributed to other
-    Gaussians. The result depends only on the seed.
+    Areas are limited to `GIANT`.
     """
     if count is None or len(gaussians) <= count:
         return gaussians
@@ -64,7 +60,7 @@ def thin(gaussians: Gaussians, count: int | None, *, seed: int = 0) -> Gaussians
 
 
 def _morton_order(points: NDArray[np.float32]) -> NDArray[np.int64]:
-    """Return codes [N] along the Morton curve; neighbours in space have similar codes."""
+    """Return codes [N] along the Morton curve."""
     low, size = points.min(axis=0), float(np.ptp(points, axis=0).max()) or 1.0
     cells = ((points - low) / size * (2**BITS - 1)).astype(np.int64)
     code = np.zeros(len(points), np.int64)
@@ -75,8 +71,5 @@ def _morton_order(points: NDArray[np.float32]) -> NDArray[np.int64]:
 
 
 def _compute_areas(gaussians: Gaussians) -> NDArray[np.float64]:
-    """Return the area of each Gaussian, up to a factor [N], m^2.
-
-    It is the product of the two larger standard deviations.
-    """
+    """Return the product of the two larger standard deviations of each Gaussian [N], m^2."""
     return np.sort(gaussians.scales, axis=1)[:, 1:].prod(axis=1, dtype=np.float64)

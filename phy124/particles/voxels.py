@@ -1,4 +1,4 @@
-"""Computes outward normals of a body's voxels from the filled fractions of their neighbours."""
+"""Outward normals of a body's voxels, from the filled fractions of their neighbours."""
 
 from typing import NamedTuple
 
@@ -9,42 +9,32 @@ from numpy.typing import NDArray
 from phy124.particles.resampling import Material
 
 SHEET = 0.25
-"""A voxel has no single outward side if the length of the gradient of the filled fraction is below
-this value [1/voxel].
-"""
+"""Length of the gradient below which a voxel has no single outward side [1/voxel]."""
 NEAR = np.array(list(np.ndindex(3, 3, 3))) - 1
-"""Steps from a voxel to the 27 voxels within one step, including itself."""
 SLOPES = 3 / 13 * NEAR / np.maximum((NEAR**2).sum(axis=1, keepdims=True), 1)
-"""Weights with which the filled fractions of the 27 voxels around a voxel are summed to their
-gradient. The weight of a neighbour is proportional to 1 / distance^2. At a plane parallel to a face
-of the voxels, the gradient has the length 1.
+"""Weights of the 27 filled fractions in their gradient. The weight of a neighbour is proportional
+to 1 / distance^2. At a plane parallel to a face of the voxels, the gradient has the length 1.
 """
 
 
 class Voxels(NamedTuple):
-    """The filled parts of the V voxels that are not empty; the unit of length is a voxel."""
+    """The filled parts of the V voxels that are not empty; lengths are in voxels."""
 
     indices: NDArray[np.int64]
     """Indices of the voxels [V,3]."""
     fraction: NDArray[np.float64]
-    """Filled fractions of the voxels [V]."""
+    """Filled fractions [V]."""
     normal: NDArray[np.float64]
-    """Outward normals of the voxels [V,3]; zero in sheets, which have no single outward side."""
+    """Outward normals [V,3]; zero in sheets, which have no single outward side."""
     shift: NDArray[np.float64]
-    """Centres of the voxels' filled parts, relative to the middles of the voxels [V,3]."""
+    """Centres of the filled parts, relative to the middles of the voxels [V,3]."""
     spread: NDArray[np.float64]
-    """Second moments of the voxels' filled parts about their centres, divided by the parts' volumes
-    [V,3,3].
-    """
+    """Second moments of the filled parts about their centres, divided by the volumes [V,3,3]."""
 
 
 def find_voxels(filled: NDArray, material: Material | None = None) -> Voxels:
-    """Return the filled parts of the voxels of a grid.
-
-    Args:
-        filled: Filled fractions [X,Y,Z].
-        material: Centres and second moments of the filled parts. If None, every voxel is filled
-            evenly.
+    """Return the filled parts of the voxels of a grid [X,Y,Z]; without `material`, they are filled
+    evenly.
     """
     filled = filled.astype(np.float64)
     index = np.argwhere(filled > 0)
