@@ -1,10 +1,8 @@
 """Computes moving Gaussians, frame by frame, from static Gaussians and a scene.
 
-`Simulation(prepare(gaussians, Scene.named("press")))` yields the frames of the preset `press`.
-Frame 0 is the object at rest. If the solver or an observer detects an error in a frame, the frame
-is repeated with half the substep. If the second attempt also fails, `Stopped` gives the reason; the
-frames computed so far remain valid. `prepare` refuses runs that would take hours or need more
-memory than is free.
+`Simulation(prepare(gaussians, Scene.named("press")))` yields the frames of the preset `press`. If a
+frame is not valid, the frame is repeated with half the substep. If the second attempt also fails,
+`Stopped` gives the reason; the frames computed so far remain valid.
 """
 
 from phy124.simulation.run import Interrupted, Simulation, Stopped

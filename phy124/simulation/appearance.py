@@ -1,4 +1,4 @@
-"""Creates the visible Gaussians of each material; these Gaussians do not affect the motion."""
+"""Creates the visible Gaussians of each material."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -17,9 +17,8 @@ from phy124.particles.grains import add_grains, roughen, tint, vary_brightness
 from phy124.scene import Scene
 
 SEEN = {"visibility", "viscosity"}
-"""Properties of a liquid that determine its appearance."""
 BLOCK = 1 << 15
-"""Number of Gaussians that are measured at a time, so that their data stay in the cache."""
+"""Number of Gaussians that are measured at a time; their data stay in the cache."""
 
 
 class Appearance(NamedTuple):
@@ -28,19 +27,16 @@ class Appearance(NamedTuple):
     gaussians: Gaussians
     """All N + G Gaussians at rest, in metres; the grains come last."""
     particles: Particles
-    """Particles of the solver. A particle may represent a moving Gaussian."""
     moves: NDArray[np.bool_]
-    """Mask of the Gaussians that move [N + G]."""
+    """Mask of the moving Gaussians [N + G]."""
     max_stretch: NDArray[np.float64]
-    """Limit on each moving Gaussian's longest axis, relative to its length at rest; may be
-    infinite."""
+    """Largest length of each moving Gaussian's longest axis, relative to its length at rest."""
     rounds: NDArray[np.bool_]
-    """Mask of the moving Gaussians that become balls when the material is stretched."""
+    """Whether each moving Gaussian becomes a ball when the material is stretched."""
     flows: NDArray[np.bool_]
-    """Mask of the moving Gaussians in materials whose deformation gradient F grows without bound.
-    """
+    """Whether the deformation gradient F of each moving Gaussian's material grows without bound."""
     holds: NDArray[np.float64]
-    """Largest stretch of each moving Gaussian's material before it tears; may be infinite."""
+    """Largest stretch of each moving Gaussian's material before the material tears."""
     kinds: NDArray[np.int64]
     """Index of the material of each moving Gaussian."""
 
@@ -54,7 +50,7 @@ class Appearance(NamedTuple):
         }
 
     def shine(self, materials: Sequence[AnyMaterial]) -> dict[str, list[list[int]]]:
-        """Return the index ranges of the Gaussians of each glossy law, as first and end indices."""
+        """Return the index ranges of the Gaussians of each glossy law."""
         laws = sorted({section.law for section in materials if section.shines})
         return {law: self._spans(self._has_law(law, materials)) for law in laws}
 
@@ -62,8 +58,7 @@ class Appearance(NamedTuple):
         """Return, for each liquid, its visibility [m] or None, its viscosity [Pa s], the index
         ranges (spans) of its Gaussians, and the volume of a Gaussian in each range [m^3].
 
-        Materials that differ only in their colours are one liquid: they mix, and no surface
-        separates them.
+        Materials that differ only in their colours are one liquid: no surface separates them.
         """
         liquids: dict[str, dict[str, Any]] = {}
         for k, section in enumerate(materials):
@@ -88,14 +83,14 @@ class Appearance(NamedTuple):
         return [{"runs": runs, "volumes": volumes} for runs, volumes in lit]
 
     def dents(self, materials: Sequence[AnyMaterial]) -> list[list[list[int]]]:
-        """Return the index ranges (spans) of the Gaussians of each solid that keeps dents and has
+        """Return the index ranges of the Gaussians of each solid that keeps dents and has
         no gloss.
         """
         solids = [k for k, section in enumerate(materials) if section.dents and not section.shines]
         return self._spans_of(solids)
 
     def fragments(self, materials: Sequence[AnyMaterial]) -> list[list[list[int]]]:
-        """Return the index ranges (spans) of the Gaussians of each material that crumbles and has
+        """Return the index ranges of the Gaussians of each material that crumbles and has
         grains.
         """
         filled = set(self.kinds[~self.rounds].tolist())
@@ -104,16 +99,14 @@ class Appearance(NamedTuple):
         )
 
     def _spans_of(self, kinds: Sequence[int]) -> list[list[list[int]]]:
-        """Return the index ranges (spans) of Gaussians, for each material that has Gaussians."""
         spans = [self._spans(self.kinds == k) for k in kinds]
         return [span for span in spans if span]
 
     def _volumes(self, kind: int) -> tuple[list[list[int]], list[float]]:
-        """Return the index ranges (spans) of a material's Gaussians, and the volume of a Gaussian
-        in each.
+        """Return the index ranges of a material's Gaussians, and the volume of a Gaussian in each.
 
-        A grain has the volume of a particle. The volume of the particles without a grain is divided
-        among the Gaussians on the surface.
+        A grain has the volume of a particle. The other volume is divided among the Gaussians on the
+        surface.
         """
         particles = self.particles.volume[self.particles.material == kind]
         surface = self._spans(self.rounds & (self.kinds == kind))
@@ -123,7 +116,7 @@ class Appearance(NamedTuple):
         return surface + grains, [left] * len(surface) + [each] * len(grains)
 
     def _spans(self, chosen: NDArray[np.bool_]) -> list[list[int]]:
-        """Return the index ranges (spans), among all Gaussians, of the chosen moving Gaussians."""
+        """Return the index ranges of the chosen moving Gaussians among all Gaussians."""
         inside = np.zeros(len(self.moves) + 2, np.int8)
         inside[np.flatnonzero(self.moves)[chosen] + 1] = 1
         return np.flatnonzero(np.diff(inside)).reshape(-1, 2).tolist()
@@ -131,7 +124,7 @@ class Appearance(NamedTuple):
     def elongation(
         self, materials: Sequence[AnyMaterial]
     ) -> Callable[[Mapping[str, Array]], NDArray[np.float64]]:
-        """Return a function that measures how elongated the Gaussians of a frame are.
+        """Return a function that measures the Gaussians of a frame.
 
         For each law, in alphabetical order, the function returns the largest ratios of a Gaussian's
         longest axis to the middle and to the shortest axis [L,2].
@@ -149,11 +142,6 @@ class Appearance(NamedTuple):
     ) -> dict[str, dict[str, float]]:
         """Return the elongation and opacity of each law's Gaussians in a clip.
 
-        Args:
-            ratios: The result of `elongation` for each frame.
-            opacities: Opacities of the clip's Gaussians.
-            materials: The materials.
-
         Returns:
             For each law, `needle` (largest ratio of the longest to the middle axis), `axis_ratio`
             (largest ratio of the longest to the shortest axis), and the largest `opacity`.
@@ -167,28 +155,22 @@ class Appearance(NamedTuple):
         return rows
 
     def _of_law(self, law: str, materials: Sequence[AnyMaterial]) -> NDArray[np.int64]:
-        """Return the indices of the moving Gaussians in material with a given law."""
         return np.flatnonzero(self.moves)[self._has_law(law, materials)]
 
     def _has_law(self, law: str, materials: Sequence[AnyMaterial]) -> NDArray[np.bool_]:
-        """Return the mask of the moving Gaussians in material with a given law."""
         return np.array([section.law == law for section in materials])[self.kinds]
 
 
 def _count(spans: list[list[int]]) -> int:
-    """Return the total number of Gaussians in several spans (index ranges)."""
     return sum(last - first for first, last in spans)
 
 
 def _laws(materials: Sequence[AnyMaterial]) -> list[str]:
-    """Return the laws of some materials in alphabetical order."""
     return sorted({section.law for section in materials})
 
 
 def _elongation(scales: Array, chosen: NDArray[np.int64]) -> tuple[float, float]:
-    """Return the largest ratios of a Gaussian's longest axis to its middle and to its shortest
-    axis.
-    """
+    """Return the largest ratios of the longest axis to the middle and to the shortest axis."""
     needle = flat = 1.0
     for start in range(0, len(chosen), BLOCK):
         # Sorting the three lengths of each Gaussian would take six times as long.
@@ -213,10 +195,10 @@ def make_appearance(
 
     Args:
         gaussians: The object at rest, N Gaussians, m.
-        particles: The particles that move.
+        particles: The particles.
         moves: Mask of the Gaussians that move [N].
-        materials: The materials of the particles.
-        scene: The scene, which determines whether grains are shown.
+        materials: The materials.
+        scene: The scene.
         spacing: Distance between neighbouring particles [m].
     """
     surface = len(gaussians)

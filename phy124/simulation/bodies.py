@@ -1,7 +1,7 @@
 """Creates the particles and visible Gaussians of the objects in a scene, and joins all objects.
 
 Each object is created as if it were alone in the scene, but with the grid spacing of the whole
-scene. Props, which follow a path or move freely as rigid solids, have no particles.
+scene.
 """
 
 from __future__ import annotations
@@ -40,28 +40,26 @@ from phy124.simulation.overlap import refuse_objects
 from phy124.simulation.placing import mask_object, number_among_all, place, renumber_parts, stack
 
 GRAINY = 24_000
-"""Approximate number of Gaussians of a shape whose material has grains of different brightness."""
+"""Approximate number of Gaussians of a shape whose grains differ in brightness."""
 FEWEST = 8
-"""If an object is shorter than this number of cells, a note warns the user of a coarse grid."""
+"""Smallest number of cells along an object without a note about a coarse grid."""
 PER_GAUSSIAN = ("max_stretch", "rounds", "flows", "holds", "kinds")
-"""Names of the fields of an appearance with one entry per moving Gaussian."""
 
 
 class Placed(NamedTuple):
-    """One object in its final position in the scene."""
+    """One object in its position in the scene."""
 
     scene: Scene
-    """The scene with only this object."""
     cleaned: Cleaning
     belonging: NDArray[np.bool_]
-    """Mask of the Gaussians that belong to the object, not to its surroundings [N]."""
+    """Mask of the Gaussians that do not belong to the surroundings [N]."""
     gaussians: Gaussians
     crop: Crop
     interior: Solid | None = None
-    """Interior of the object; None if not yet known."""
+    """Interior; None if not yet known."""
 
     def within(self, scene: Scene) -> Placed:
-        """Return a copy of the object for another scene and grid; the copy keeps the parts."""
+        """Return a copy for another scene and grid; the copy keeps the parts."""
         return self._replace(scene=scene.model_copy(update={"parts": self.scene.parts}))
 
 
@@ -69,33 +67,29 @@ class Body(NamedTuple):
     """One object, or all objects of a scene combined, ready for the solver."""
 
     scene: Scene
-    """The scene. Its parts select Gaussians by their indices after cleaning."""
+    """The parts of this scene select Gaussians by their indices after cleaning."""
     cleaning: list[str]
-    """Messages about Gaussians that cleaning has changed or dropped."""
     gaussians: Gaussians
-    """The N Gaussians at rest, at their positions in the scene [m]."""
+    """The N Gaussians at rest [m]."""
     appearance: Appearance
-    """Visible Gaussians of the object, and its particles."""
     materials: Sequence[AnyMaterial]
     stiffness: NDArray | None
-    """Factor on Young's modulus of the material for each particle [P]; None if all are 1."""
+    """Factor on Young's modulus for each particle [P]; None: all are 1."""
     interiors: Sequence[tuple[Solid, float]] = ()
-    """For each moving object: its interior, without its surroundings, and the length of its longest
-    side [m]."""
+    """Interior of each moving object without surroundings, and its longest side [m]."""
     placed: Placed | None = None
-    """The object in its position; None if there are several objects."""
+    """Position of a single object; None if there are several."""
 
 
 def make_body(gaussians: Gaussians, scene: Scene, crop: Crop, placed: Placed | None = None) -> Body:
     """Create all objects of a scene.
 
     Args:
-        gaussians: The objects, of any size, upright and facing +x; without `object_id`, all
-            Gaussians belong to the first object. Objects without Gaussians are shapes or copies of
-            the first object.
+        gaussians: The objects, of any size, upright and facing +x; without `object_id`, all belong
+            to the first object. Objects without Gaussians are shapes or copies of the first object.
         scene: The scene.
-        crop: Position of the first object in the picture with the painted masks of its parts.
-        placed: A single object in its position, if the position is already known.
+        crop: Position of the first object in its picture.
+        placed: A single object in its position, if known.
 
     Raises:
         InputError: The Gaussians cannot be used for this scene.
@@ -125,10 +119,6 @@ def make_body(gaussians: Gaussians, scene: Scene, crop: Crop, placed: Placed | N
 
 def proportions_of(gaussians: Gaussians, scene: Scene) -> Proportions | None:
     """Return the objects' proportions; None if all objects are scenery.
-
-    Args:
-        gaussians: The objects, as for `make_body`.
-        scene: The scene.
 
     Raises:
         InputError: The Gaussians cannot be used.
@@ -161,7 +151,7 @@ def errors_prefixed_with(scene: Scene, index: int) -> Iterator[None]:
 
 
 def notes(scene: Scene) -> list[str]:
-    """Return a note for each object, except the first object, that has too few cells."""
+    """Return a note for each further object that has too few cells."""
     return [
         f"{body.name} is {body.size / scene.dx:.0f} cells long, which is coarse: the grid spacing "
         f"follows from the size of {scene.object.name}; a larger accuracy.cells means "
@@ -172,7 +162,7 @@ def notes(scene: Scene) -> list[str]:
 
 
 def refuse_ids(gaussians: Gaussians, scene: Scene) -> None:
-    """Check that the scene has all objects to which Gaussians belong.
+    """Check that all Gaussians belong to objects of the scene.
 
     Raises:
         InputError: Some Gaussians belong to an object that the scene does not have.
@@ -190,7 +180,7 @@ def free_indices(scene: Scene) -> tuple[int, ...]:
 
 
 def make_free(scene: Scene, gaussians: Gaussians) -> Iterator[FreeBody]:
-    """Yield the freely moving rigid solids of a scene, at the positions of their Gaussians."""
+    """Yield the freely moving rigid solids of a scene."""
     for index in free_indices(scene):
         body, inside = scene.objects[index - 1], gaussians.object_id == index
         contact = find_pair(scene.pairs, body.name, ANY)
@@ -211,20 +201,14 @@ def make_free(scene: Scene, gaussians: Gaussians) -> Iterator[FreeBody]:
 
 
 def make_scenery(scene: Scene, shown: Gaussians, moves: NDArray[np.bool_]) -> Scenery:
-    """Return the scenery: all Gaussians that the solver does not move.
-
-    Args:
-        scene: The scene; objects with a path move along the path.
-        shown: All Gaussians at rest.
-        moves: Mask of the Gaussians that move in the solver [N].
-    """
+    """Return the scenery: all Gaussians that the solver does not move."""
     paths = ((index, body.path) for index, body in enumerate(scene.objects, 1))
     tracks = tuple((index, path.track()) for index, path in paths if path is not None)
     return Scenery(shown, moves, tracks, free_indices(scene))
 
 
 def planes_for_free(scene: Scene) -> list[Plane]:
-    """Return the flat walls for freely moving solids: walls that are not limited to one object."""
+    """Return the flat walls that are not limited to one object."""
     if not free_indices(scene):
         return []
     planes: list[Plane] = []
@@ -237,7 +221,6 @@ def planes_for_free(scene: Scene) -> list[Plane]:
 
 
 def _source(gaussians: Gaussians, scene: Scene, index: int) -> Gaussians:
-    """Return the Gaussians from which an object is created."""
     present = gaussians.of_object(index)
     body = scene.every_object[index]
     if len(present) or not isinstance(body, SceneObject):
@@ -254,7 +237,6 @@ def _source(gaussians: Gaussians, scene: Scene, index: int) -> Gaussians:
 
 
 def _clean_and_place(gaussians: Gaussians, scene: Scene, crop: Crop) -> Placed:
-    """Clean and place the Gaussians of one object."""
     gaussians, cleaned = clean(gaussians)
     renumbered = renumber_parts(scene, cleaned.survivors)
     belonging = mask_object(renumbered, len(gaussians))
@@ -263,7 +245,6 @@ def _clean_and_place(gaussians: Gaussians, scene: Scene, crop: Crop) -> Placed:
 
 
 def _with_particles(placed: Placed, spacing: float) -> Body:
-    """Create the particles and the appearance of one object."""
     scene, gaussians, belonging = placed.scene, placed.gaussians, placed.belonging
     alone, points = gaussians.select(belonging), None
     interior = placed.interior or find_interior(alone)
@@ -298,7 +279,6 @@ def _with_particles(placed: Placed, spacing: float) -> Body:
 
 
 def _without_particles(placed: Placed) -> Body:
-    """Return an object that is only displayed, without particles."""
     empty = np.zeros(0, np.int32)
     particles = Particles(np.zeros((0, 3), np.float32), np.zeros(0), np.zeros(0), empty, empty)
     still = np.zeros(len(placed.gaussians), bool)
@@ -310,7 +290,7 @@ def _without_particles(placed: Placed) -> Body:
 
 
 def _join(bodies: list[Body], scene: Scene) -> Body:
-    """Combine all objects: first the surfaces of all objects, then the grains of all objects."""
+    """Combine all objects: first all surfaces, then all grains."""
     refuse_objects([body.appearance.particles for body in bodies], scene)
     pairs = zip(scene.objects, bodies[1:], strict=True)
     objects = [item.model_copy(update={"parts": body.scene.parts}) for item, body in pairs]
@@ -338,7 +318,7 @@ def _join(bodies: list[Body], scene: Scene) -> Body:
 
 
 def _join_appearances(bodies: list[Body]) -> Appearance:
-    """Combine the appearances of all objects: first the surfaces, then the grains."""
+    """Combine all appearances: first the surfaces, then the grains."""
     looks, surfaces = [body.appearance for body in bodies], [len(body.gaussians) for body in bodies]
     counts = [len(look.moves) for look in looks]
     starts = np.cumsum([0, *counts])
@@ -378,13 +358,7 @@ def _join_appearances(bodies: list[Body]) -> Appearance:
 def _join_particles(
     objects: list[Particles], numbers: list[NDArray[np.int64]], first_kinds: NDArray
 ) -> Particles:
-    """Combine the particles of all objects, object by object.
-
-    Args:
-        objects: Particles of each object.
-        numbers: For each object, the indices of its moving Gaussians among all moving Gaussians.
-        first_kinds: Index of each object's first material among all materials.
-    """
+    """Combine the particles of all objects."""
 
     def join(name: str) -> NDArray[Any]:
         return np.concatenate([getattr(particles, name) for particles in objects])

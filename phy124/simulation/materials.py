@@ -1,8 +1,6 @@
 """Assigns materials to particles, by parts of the scene, a properties file, or a stiffness field.
 
-A part is selected by a box in space, by a mask of the picture, by Gaussians, or by several of
-these. Later parts override earlier parts. Particles outside all parts have the scene's material.
-Static parts have no particles.
+Later parts override earlier parts. Static parts have no particles.
 """
 
 from collections.abc import Sequence
@@ -30,16 +28,14 @@ def assign(
     crop: Crop = WHOLE,
     means: NDArray | None = None,
 ) -> NDArray[np.int32]:
-    """Return the material index of each particle [P]: 0 for the scene's material, i for the
-    material of part i (counted from 1).
+    """Return the material index of each particle [P]: 0 for the scene's material, i for part i.
 
     Args:
         x: Positions at rest [P,3], m; the object is upright and faces +x.
         gaussian: Index of each particle's Gaussian [P]; -1: the nearest Gaussian is used.
         parts: The scene's parts.
-        crop: Position of the object in the picture on which the masks were painted.
-        means: Centres of the Gaussians [N,3], m; needed only if the particles are not bound to
-            single Gaussians.
+        crop: Position of the object in its picture.
+        means: Centres of the Gaussians [N,3], m; needed only for particles without a Gaussian.
 
     Raises:
         InputError: A mask cannot be read, or a part contains no particle.
@@ -70,15 +66,13 @@ def assign_materials(
     """Return the particles with their parts' materials, and the mask of the moving Gaussians [N].
 
     Args:
-        particles: Particles of all Gaussians, including static Gaussians, so that a solid stays
-            filled if a part of it is static.
+        particles: Particles of all Gaussians, including static Gaussians.
         means: The Gaussians at rest [N,3], m.
         scene: The scene, with its parts.
-        crop: Position of the object in the picture on which the masks were painted.
+        crop: Position of the object in its picture.
 
     Returns:
-        The moving particles, sorted by law, with indices into the moving Gaussians; and the mask of
-        the moving Gaussians.
+        The moving particles, sorted by law, with indices into the moving Gaussians; and the mask.
 
     Raises:
         InputError: A part contains no particle, or all Gaussians are static.
@@ -123,9 +117,8 @@ def assign_materials(
 def _belong_to(
     x: NDArray, gaussian: NDArray, span: tuple[int, int], means: NDArray | None
 ) -> NDArray[np.bool_]:
-    """Return a mask of the particles whose Gaussian has an index in the range `span`.
-
-    For a particle without a Gaussian, the nearest Gaussian is used.
+    """Return a mask of the particles whose Gaussian, or nearest Gaussian, has an index in
+    `span`.
     """
     owner = gaussian.copy()
     bound, filler = gaussian >= 0, gaussian < 0
@@ -176,8 +169,7 @@ def vary_materials(
 def with_properties(
     particles: Particles, columns: dict[str, NDArray[Any]], materials: Sequence[AnyMaterial]
 ) -> tuple[Particles, list[AnyMaterial], NDArray[np.intp]]:
-    """Return particles with the materials of a file, sorted by law; also return the materials and
-    the order.
+    """Return particles with the materials of a file, sorted by law; the materials; and the order.
 
     Args:
         particles: The moving particles, with indices into `materials`.
@@ -222,7 +214,6 @@ def with_properties(
 
 
 def _find_or_add(name: str, bases: list[AnyMaterial]) -> int:
-    """Return the index of a material with a given law; add a material if there is none."""
     for number, section in enumerate(bases):
         if section.law == name:
             return number
@@ -235,14 +226,12 @@ def _find_or_add(name: str, bases: list[AnyMaterial]) -> int:
 
 
 def _with_values(base: AnyMaterial, values: dict[str, float]) -> AnyMaterial:
-    """Return the material after setting some values; ignore values without a field."""
     fields = {name: value for name, value in values.items() if name in type(base).model_fields}
     same = all(getattr(base, name) == value for name, value in fields.items())
     return base if same else base.model_copy(update=fields)
 
 
 def _check_extremes(kinds: NDArray, names: list[str], bases: list[AnyMaterial]) -> None:
-    """Raise InputError if a column's smallest or largest value is outside its field's bounds."""
     for number, section in enumerate(bases):
         rows = kinds[kinds[:, 0] == number]
         for column, name in enumerate(names, 1):
@@ -273,8 +262,7 @@ def stiffness_fractions(
         means: The object's Gaussians [N,3], m.
         scene: The scene, with its stiffness and materials.
         crop: Position of the object in its picture.
-        listed: Fractions [P] from a properties file; the fractions of the stiffness are multiplied
-            by them.
+        listed: Fractions [P] from a properties file, multiplied by those of the stiffness.
 
     Raises:
         InputError: No material has an E that may vary, or a fraction of E is below a law's bounds.
@@ -296,7 +284,6 @@ def stiffness_fractions(
 
 
 def _refuse_too_soft(section: AnyMaterial, fraction: float) -> None:
-    """Raise InputError if a fraction of E is outside the bounds of a material."""
     softened = {**section.model_dump(), "E": getattr(section, "E", 0.0) * fraction}
     try:
         type(section).model_validate(softened)

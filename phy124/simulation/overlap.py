@@ -17,24 +17,21 @@ from phy124.scene import Scene
 DEEPEST = 1.0
 """Largest overlap allowed at the start [cells]; surfaces are known to within one cell."""
 MOST = 0.1
-"""At most this fraction of the material may start deeper than `DEEPEST` inside a wall; a note
-reports any such material.
-"""
+"""Largest fraction of the material that may start deeper than `DEEPEST` inside a wall."""
 
 
 class Buried(NamedTuple):
-    """A wall with material behind the wall's surface at the start."""
+    """A wall that contains material at the start."""
 
     kind: str
     fraction: float
-    """Fraction of the material that starts more than `DEEPEST` cells behind the surface of the
-    wall."""
+    """Fraction of the material more than `DEEPEST` cells behind the wall's surface."""
     depth: float
-    """Depth of the deepest particle inside the wall [m]."""
+    """Depth of the deepest particle [m]."""
 
     @property
     def what(self) -> str:
-        """Describe the overlap with the wall (fraction and depth), as a clause of a message."""
+        """Describe the overlap, as a clause of a message."""
         return (
             f"{self.fraction:.1%} of the material starts inside it, up to {self.depth:.2g} m deep"
         )
@@ -54,7 +51,7 @@ def refuse_buried(boundaries: Sequence[Boundary], model: Model) -> None:
 
 
 def notes(boundaries: Sequence[Boundary], model: Model) -> list[str]:
-    """Return a note for each wall that contains a little of the material at the start."""
+    """Return a note for each wall that contains some material at the start."""
     return [
         f"The {wall.kind}: {wall.what}, and stays there." for wall in find_buried(boundaries, model)
     ]
@@ -84,11 +81,6 @@ def find_buried(boundaries: Sequence[Boundary], model: Model) -> Iterator[Buried
 def refuse_solids(solids: Sequence[FreeBody], x: NDArray, scene: Scene) -> None:
     """Check that no material is inside a rigid solid at the start; the material would stay there.
 
-    Args:
-        solids: The rigid solids.
-        x: Positions of all particles [P,3], m.
-        scene: The scene, which determines the size of a cell.
-
     Raises:
         InputError: Some material is inside a solid; the message gives the depth.
     """
@@ -102,11 +94,6 @@ def refuse_solids(solids: Sequence[FreeBody], x: NDArray, scene: Scene) -> None:
 
 def refuse_sunken(solids: Sequence[FreeBody], planes: Sequence[Plane], model: Model) -> None:
     """Check that no rigid solid starts behind a flat wall, which would push it out abruptly.
-
-    Args:
-        solids: The rigid solids.
-        planes: The flat walls that the solids touch.
-        model: The bodies of particles, on which the position of a wall may depend.
 
     Raises:
         InputError: A solid starts more than `DEEPEST` cells behind a wall.

@@ -36,7 +36,7 @@ def place(gaussians: Gaussians, scene: Scene, belonging: NDArray[np.bool_]) -> G
 def shift(
     gaussians: Gaussians, chosen: NDArray[np.bool_], offset: tuple[float, float, float]
 ) -> Gaussians:
-    """Shift some Gaussians by an offset [m]; zero leaves all Gaussians bitwise unchanged."""
+    """Shift the chosen Gaussians by an offset [m]; zero leaves all Gaussians bitwise unchanged."""
     if not any(offset):
         return gaussians
     means = gaussians.means.copy()
@@ -55,10 +55,6 @@ def find_placement(
 
 def stack(placed: Sequence[Gaussians], scene: Scene) -> list[Gaussians]:
     """Move each object that stands on another object vertically until the two objects touch.
-
-    Args:
-        placed: Each object in its position above the floor.
-        scene: The scene, which defines the lift and on which object each object stands.
 
     Raises:
         InputError: An object is not above the object on which it stands.
@@ -83,16 +79,18 @@ def stack(placed: Sequence[Gaussians], scene: Scene) -> list[Gaussians]:
 
 
 def _gap(below: Gaussians, above: Gaussians, cell: float) -> float | None:
-    """Return the smallest vertical gap between two objects [m]; None if none is above the other."""
+    """Return the smallest vertical gap between two objects [m]; None if neither is above
+    the other.
+    """
     tops, bottoms = _heights(below, cell, 1.0), _heights(above, cell, -1.0)
     gaps = [-bottoms[at] - tops[at] for at in tops.keys() & bottoms.keys()]
     return min(gaps, default=None)
 
 
 def _heights(gaussians: Gaussians, cell: float, sign: float) -> dict[tuple[int, int], float]:
-    """Return, for each square of a horizontal grid, the largest height of the Gaussians.
+    """Return the largest height in each square of a horizontal grid.
 
-    If `sign` is -1, return the smallest height in each square, multiplied by -1.
+    If `sign` is -1, return the smallest height, multiplied by -1.
     """
     squares = np.floor(gaussians.means[:, :2] / cell).astype(int)
     reach = np.sqrt(gaussians.covariances()[:, 2, 2])
@@ -104,7 +102,7 @@ def _heights(gaussians: Gaussians, cell: float, sign: float) -> dict[tuple[int, 
 
 
 def number_among_all(particles: Particles, belonging: NDArray[np.bool_]) -> Particles:
-    """Return the particles of the object, with indices into all Gaussians."""
+    """Return the particles with indices into all Gaussians."""
     if belonging.all():
         return particles
     gaussian = particles.gaussian
@@ -113,7 +111,7 @@ def number_among_all(particles: Particles, belonging: NDArray[np.bool_]) -> Part
 
 
 def renumber_parts(scene: Scene, survivors: NDArray[np.bool_] | None) -> Scene:
-    """Return the scene with new indices of the parts' Gaussians, since some were dropped."""
+    """Return the scene with the indices that the parts' Gaussians have after cleaning."""
     if survivors is None or survivors.all():
         return scene
     before = np.concatenate([[0], np.cumsum(survivors)])

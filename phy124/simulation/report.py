@@ -13,7 +13,7 @@ from phy124.simulation import bodies, overlap
 from phy124.simulation.setup import Setup
 
 Run = Any
-"""A `Simulation`; its class cannot be imported here, because its module imports this module."""
+"""A `Simulation`, which cannot be imported here, because its module imports this module."""
 
 
 def report_run(run: Run) -> dict[str, Any]:
@@ -65,7 +65,7 @@ def report_run(run: Run) -> dict[str, Any]:
 
 
 def report_clip(setup: Setup, clip: Clip) -> dict[str, Any]:
-    """Return the entries of the report that describe the Gaussians of the complete clip."""
+    """Return the entries of the report about the Gaussians of the complete clip."""
     look, count = setup.appearance, len(clip.opacities)
     return {
         "gaussians": count,
@@ -79,7 +79,6 @@ def report_clip(setup: Setup, clip: Clip) -> dict[str, Any]:
 
 
 def _sections(run: Run) -> Iterator[dict[str, Any]]:
-    """Yield the report section of each observer, and the default sections of unused observers."""
     frames = run.frames if run.setup.keep else ()
     yield from (observer.report(frames) for observer in run.observers)
     present = {type(observer) for observer in run.observers}
@@ -87,7 +86,6 @@ def _sections(run: Run) -> Iterator[dict[str, Any]]:
 
 
 def _objects(run: Run) -> dict[str, Any]:
-    """Return the counts and mass of each object, and the centre of its particles at rest [m]."""
     rows, particles, shown = {}, run.setup.particles, run.setup.shown
     for index, name in enumerate(run.scene.names):
         inside, seen = particles.body == index, shown.object_id == index
@@ -105,7 +103,6 @@ def _objects(run: Run) -> dict[str, Any]:
 
 
 def _substep(run: Run) -> dict[str, Any]:
-    """Return the mean length of the substeps and the limits that determined them."""
     clock, asked, sleep = run.solver.clock, run.scene.time.substep, run.find(Sleep)
     taken = max(sum(clock.limiters.values()), 1)
     mean = (clock.time - (sleep.skipped if sleep else 0) / run.scene.time.fps) / taken
@@ -120,7 +117,6 @@ def _substep(run: Run) -> dict[str, Any]:
 
 
 def _notes(run: Run) -> list[str]:
-    """Return notes for the user about the materials and the course of the run."""
     scene = run.scene
     return [
         *(note for section in scene.materials for note in section.notes()),
@@ -135,7 +131,6 @@ def _notes(run: Run) -> list[str]:
 
 
 def _unregistered_notes(classes: dict[str, str]) -> Iterator[str]:
-    """Yield notes about a run's files if the scene uses classes without a registered name."""
     for name, group in classes.items():
         yield (
             f"{name} is defined only in your program: the clip can be rendered again, but the run "
@@ -145,7 +140,7 @@ def _unregistered_notes(classes: dict[str, str]) -> Iterator[str]:
 
 
 def _cfl_note(run: Run) -> list[str]:
-    """Return a note if `accuracy.cfl` is so close to 1 that viscosity shortens the substeps."""
+    """Return a note if viscosity shortens the substeps because `accuracy.cfl` is close to 1."""
     clock = run.solver.clock
     cfl, taken = run.scene.resolution.fraction, sum(clock.limiters.values())
     if cfl <= CFL or 2 * clock.limiters.get("viscous", 0) <= taken:

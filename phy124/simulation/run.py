@@ -40,13 +40,11 @@ from phy124.simulation.spent import Spent
 
 
 class Stopped(RuntimeError):
-    """Raised if a run ends early because its results would be wrong; the message gives the
-    reason.
-    """
+    """Raised if a run ends early because its results would be wrong."""
 
     def __init__(self, why: str, remedies: Sequence[Remedy] = ()) -> None:
         self.remedies = tuple(remedies)
-        """Changes to the scene; each of them is a sufficient remedy."""
+        """Changes to the scene; each is sufficient."""
         super().__init__(f"{why} {advise(remedies)}".strip())
 
 
@@ -59,10 +57,9 @@ class Interrupted(Cancelled):
 
 
 class Simulation:
-    """One run. Iterating over it yields the frames; leaving the loop early pauses the run.
+    """One run; iterating yields the frames, and continues after a pause.
 
-    Iterating again continues with the next frame. `phy124.pipeline.resume` saves a paused run and
-    continues it later, bit for bit.
+    `phy124.pipeline.resume` saves a paused run and continues it later, bit for bit.
     """
 
     def __init__(self, setup: Setup) -> None:
@@ -85,7 +82,6 @@ class Simulation:
             self.solver.start()
             self.spent = Spent(self.solver.runner.team, self.device)
         self.count = 0
-        """Number of frames computed so far."""
         self.frames: list[Frame] = []
         scene, count = self.scene, len(setup.shown)
         measured = scene.velocities or scene.keeps_contacts
@@ -94,21 +90,19 @@ class Simulation:
         """Whether `frames` contain no Gaussians; these are computed later from the motion."""
         self._recorded: Recorded | None = None
         self.rotations: list[NDArray] = []
-        """Rotations of the Gaussians in each frame [N,4] wxyz, if colours depend on rotations."""
+        """Rotations of Gaussians in each frame [N,4] wxyz, if colours depend on rotations."""
         self.poses: list[NDArray] = []
-        """Centre [m] and orientation (wxyz) of each freely moving solid in every frame [F,7]."""
+        """Centres [m] and orientations (wxyz) of freely moving solids in each frame [F,7]."""
         self.retried: list[int] = []
-        """Indices of the frames that were repeated with half the substep."""
+        """Frames that were repeated with half the substep."""
         self.stopped: str | None = None
         self.remedies: tuple[Remedy, ...] = ()
-        """The reason for a stop, and remedies; None and an empty list without a stop."""
         self.remarks: list[str] = []
-        """Further notes for the report."""
         self.most_substeps = math.inf
-        """Largest number of substeps of a frame; live runs limit it."""
+        """Largest number of substeps of a frame, for live runs."""
 
     def __iter__(self) -> Iterator[Frame]:
-        """Yield the frames in order, starting after the last computed frame.
+        """Yield the remaining frames.
 
         Raises:
             Stopped: A frame is wrong, or the run has used twice its time budget.
@@ -130,7 +124,7 @@ class Simulation:
         return replace(frame, gaussians=self._frames_so_far().gaussians(frame.index))
 
     def _take_frame(self) -> Frame:
-        """Compute and keep the next frame; if `light` is set, the frame contains no Gaussians."""
+        """Compute the next frame; if `light` is set, the frame contains no Gaussians."""
         index, timing, context = self.count, self.scene.time, self.setup.context
         time = index / timing.fps
         skipped = next(filter(None, (o.skip_to(index) for o in self.observers)), None)
@@ -181,10 +175,8 @@ class Simulation:
         """Return all frames as a clip; after an early stop, it has the valid frames and the reason.
 
         Args:
-            each: Function called with every frame as soon as the frame is computed.
-            record: Function called with this simulation after every frame, before `each`. Without
-                `each`, a run with `light` set computes the Gaussians only when the clip's frames
-                are read.
+            each: Function called with every frame.
+            record: Function called with this simulation after every frame, before `each`.
             shapes: As for `clip`.
 
         Raises:
@@ -208,10 +200,6 @@ class Simulation:
 
     def clip(self, *, shapes: bool = True) -> Clip:
         """Return the frames computed so far as a clip.
-
-        Args:
-            shapes: If `light` is set: whether the report describes the shapes of the Gaussians.
-                This requires all frames; `shapes_of` can add the description later.
 
         Raises:
             ValueError: The frames were not kept.
@@ -242,9 +230,7 @@ class Simulation:
     def shapes_of(self, clip: Clip, *, every: bool = True) -> dict[str, Any]:
         """Return the report's entry about the shapes of the Gaussians in the run's clip.
 
-        Args:
-            clip: The clip.
-            every: Whether a run with `light` set also computes the frames that have not been read.
+        Without `every`, a run with `light` set skips the frames that have not been read.
         """
         look, materials = self.setup.appearance, self.setup.materials
         if self._recorded is None:
@@ -259,7 +245,7 @@ class Simulation:
         return report_run(self)
 
     def snapshot(self) -> dict[str, Any]:
-        """Return a snapshot (arrays and plain data, no frames) from which the run can continue."""
+        """Return arrays and plain data, without frames, from which the run can continue."""
         return {
             "count": self.count,
             "retried": list(self.retried),
@@ -284,7 +270,6 @@ class Simulation:
 
     @lock_gpu
     def _make_frame(self, index: int, time: float) -> Frame:
-        """Return a frame: the deformed Gaussians, the results of observers, and the scenery."""
         setup, state = self.setup, self.solver.state
         scenery, stage = setup.scenery, setup.context.watch.stage
         frame = Frame(index, time, scenery.moving)
@@ -311,16 +296,11 @@ class Simulation:
 
     @property
     def _deforms(self) -> bool:
-        """Whether each frame contains the deformed Gaussians."""
         return self.setup.shapes and not self.light
 
     @cached_property
     def deformer(self) -> Deformer:
-        """Object that computes the Gaussians of each frame.
-
-        The deformer is created at first use, so a run without shapes does not bind Gaussians to
-        particles.
-        """
+        """Object that computes the Gaussians of each frame."""
         return Deformer(
             self.setup.scenery.moving,
             self.setup.particles,
@@ -331,7 +311,6 @@ class Simulation:
 
     @cached_property
     def _smoothing(self) -> Smoothing | None:
-        """Object that smooths the motion of solids that keep dents; None without such solids."""
         setup = self.setup
         dents = np.array([section.dents for section in setup.materials])[setup.particles.material]
         smooth = dents.any() and self.scene.binding == "lattice"
@@ -343,10 +322,6 @@ class Simulation:
         return self._smoothing(host(x), host(F)) if self._smoothing else (x, F)
 
     def _frames_so_far(self) -> Recorded:
-        """Return the frames of a run whose frames do not contain Gaussians.
-
-        The Gaussians are computed from the motion when a frame is read.
-        """
         motion = self._motion(np.array([frame.time for frame in self.frames]))
         if self._recorded is None:
             measure = self.setup.appearance.elongation(self.setup.materials)
@@ -356,13 +331,12 @@ class Simulation:
         return self._recorded
 
     def _follows_particles(self) -> bool:
-        """Return whether the Gaussians of all frames can be computed from the recorded motion."""
         every = all(frame.carried is not None for frame in self.frames)
         known = not self.setup.free or len(self.poses) == len(self.frames)
         return every and known
 
     def _motion(self, times: NDArray[np.float64]) -> Motion:
-        """Return the motion at some times [T], s, from which the Gaussians can be computed."""
+        """Return the motion at times [T], s."""
         setup, count = self.setup, len(self.frames)
         carried = [frame.carried for frame in self.frames if frame.carried is not None]
         tracks = [track.values(times) for _, track in setup.scenery.tracks]
@@ -383,17 +357,13 @@ class Simulation:
         )
 
     def _repeat_frame(self, index: int, time: float) -> Frame:
-        """Return the last frame with a new index and time, because nothing has moved."""
         if self.rotations:
             self.rotations.append(self.rotations[-1])
         return replace(self.frames[-1], index=index, time=time)
 
     @lock_gpu
     def _advance(self, index: int, until: float) -> None:
-        """Take substeps up to the time of a frame.
-
-        After a failure, compute the frame again with half the substep.
-        """
+        """Take substeps up to the time of a frame, after a failure with half the substep."""
         with self.setup.context.watch.stage("simulate"), self.spent.counting():
             start = (index - 1) / self.scene.time.fps
             prepare = [partial(observer.before_frame, start) for observer in self.observers]
@@ -409,7 +379,6 @@ class Simulation:
 
     @contextmanager
     def _half_substep(self) -> Iterator[None]:
-        """Within this context, halve the substeps and measure their stability limits often."""
         clock = self.solver.clock
         usual = clock.cfl, clock.ceiling, clock.measure_every
         clock.cfl, clock.ceiling = usual[0] / 2, min(usual[1], self._failed_dt) / 2
@@ -420,10 +389,7 @@ class Simulation:
             clock.cfl, clock.ceiling, clock.measure_every = usual
 
     def _try(self, index: int, until: float, *, closely: bool = False) -> Violation | None:
-        """Attempt to compute a frame.
-
-        Return None if the frame is valid; otherwise reset the state and return the error.
-        """
+        """Attempt a frame; if it is not valid, reset the state and return the error."""
         solver = self.solver
         run_timed(solver.timings, REPAIR, lambda: solver.repair.begin(solver.clock))
         solver.pairs.begin()
@@ -453,15 +419,15 @@ class Simulation:
             observer.before_attempt(closely=closely)
 
     def after_attempt(self) -> Violation | None:
-        """Return the first error that an observer reports at the end of a frame."""
+        """Return the first error of an observer at the end of a frame."""
         return next(filter(None, (o.after_attempt() for o in self.observers)), None)
 
     def checkpoint(self) -> dict[str, Any]:
-        """Return what `roll_back` restores: the solver's state and the observers' sums."""
+        """Return the solver's state and the observers' sums, for `roll_back`."""
         return {"solver": self.solver.snapshot(), "observers": snapshots(self._summing)}
 
     def roll_back(self, checkpoint: dict[str, Any]) -> None:
-        """Return to a checkpoint: restore the solver and the sums of the observers."""
+        """Return to a checkpoint."""
         self.solver.restore(checkpoint["solver"])
         restore_all(self._summing, checkpoint["observers"])
 
@@ -470,9 +436,6 @@ class Simulation:
         return [o for o in self.observers if o.in_substeps or o.in_gathers]
 
     def _follower(self, index: int) -> Callable[[], None]:
-        """Return a function to call after each substep: it runs observers and checks the time
-        budget.
-        """
         budget, frames = self.scene.time.budget, self.scene.time.frames
         progress, solver = self.setup.context.progress, self.solver
         last = solver.clock.substeps + self.most_substeps

@@ -1,7 +1,4 @@
-"""Prepares a scene for a run: places objects, makes particles, and rejects bad input.
-
-`prepare(gaussians, Scene.named("press"))` returns a setup, from which `Simulation` computes frames.
-"""
+"""Prepares a scene for a run: places objects, makes particles, and rejects bad input."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
@@ -39,56 +36,46 @@ class Setup:
     """All data that determine a run; a setup can be used for many runs."""
 
     source: Gaussians
-    """The Gaussians from which the setup was made."""
     crop: Crop
-    """Position of the object in the picture on which the masks of parts were painted."""
+    """Position of the object in the picture with the masks of parts."""
     scene: Scene
     """The scene, with the solver that the device uses for elastic objects."""
     no_lattice: str
-    """Reason why no object is simulated on a lattice; empty if elastic objects are simulated on
-    lattices.
-    """
+    """Reason why no object is simulated on a lattice, or empty."""
     solid_scene: Scene
-    """The scene, in which objects on a path are also walls."""
+    """The scene, with objects on a path as walls."""
     cleaned_scene: Scene
-    """The scene. The parts of this scene select Gaussians by the indices after cleaning."""
+    """The scene, whose parts select Gaussians by the indices after cleaning."""
     cleaning: list[str]
-    """Messages about Gaussians that cleaning has changed or dropped."""
     gaussians: Gaussians
-    """The cleaned Gaussians at rest, at their positions in the scene [m]."""
+    """The cleaned Gaussians at rest [m]."""
     interiors: Sequence[tuple[Solid, float]]
-    """For each moving object: its interior, without its surroundings, and the length of its longest
-    side [m]."""
+    """See `Body.interiors`."""
     placed: Placed | None
-    """The object in its final position, for further setups; None if there are several objects."""
+    """The object in its position, for further setups; None if there are several objects."""
     appearance: Appearance
-    """Appearance of the Gaussians, including grains."""
     particles: Particles
     """Particles of the solver at rest, in the order of the solver's slabs."""
     materials: Sequence[AnyMaterial]
-    """Materials of the particles."""
     stiffness: NDArray[np.float64] | None
-    """Factor on Young's modulus of the material for each particle [P]; None if all are 1."""
+    """Factor on Young's modulus for each particle [P]; None: all are 1."""
     free: tuple[FreeBody, ...]
-    """Props (objects without deformation) that are freely moving rigid solids."""
+    """Freely moving rigid solids."""
     scenery: Scenery
-    """All Gaussians at rest, including the props and parts that the solver does not move."""
+    """All Gaussians at rest, with those that the solver does not move."""
     estimate: Estimate
-    """Rough estimate of the time and memory that the run needs."""
     context: RunContext
-    """Device, number of threads, progress and timer; particles are sorted for these threads."""
+    """Particles are sorted for the threads of this context."""
     threads: int
-    """Number of CPU threads that the run uses."""
     along: int
     """Axis along which the particles are sorted."""
     keep: bool
-    """Whether all frames are kept."""
     shapes: bool
     """Whether frames contain deformed Gaussians instead of the Gaussians at rest."""
     changes: bool
     """Whether forces, boundaries and stiffness may change during the run."""
     observers: tuple[type[Observer], ...]
-    """Classes of observers, from which the scene selects the observers of the run."""
+    """Classes from which the scene selects the observers."""
 
     @property
     def shown(self) -> Gaussians:
@@ -105,7 +92,7 @@ class Setup:
 
     @property
     def subject(self) -> Subject:
-        """The properties of the run that decide which observers it needs."""
+        """Properties that decide which observers the run needs."""
         return Subject(self.solid_scene, self.materials, self.changes)
 
 
@@ -125,11 +112,11 @@ def prepare(
     """Place the objects of a scene, create their particles, and estimate the cost of the run.
 
     Args:
-        gaussians: The object, of any size, upright and facing +x; or several objects, distinguished
-            by `object_id`. Objects without Gaussians are shapes or copies of the first object.
+        gaussians: The object, of any size, upright and facing +x; or several objects (`object_id`).
+            Objects without Gaussians are shapes or copies of the first object.
         scene: Materials, forces, boundaries and accuracy.
         context: Device, number of threads, progress and timer.
-        crop: Position of the object in the picture on which the masks of parts were painted.
+        crop: Position of the object in the picture with the masks of parts.
         along: Axis along which particles are sorted; None: chosen by the number of threads.
         keep: Whether to keep all frames for a clip; if not, the frames may exceed the memory.
         shapes: Whether to deform the Gaussians of each frame.
@@ -195,9 +182,7 @@ def prepare(
 
 
 def slab_axis(particles: Particles, threads: int) -> int:
-    """Return the axis along which particles are sorted: x for one thread, otherwise the longest
-    axis.
-    """
+    """Return the axis of sorting: x for one thread, otherwise the longest axis."""
     return int(np.argmax(np.ptp(particles.x, axis=0))) if threads > 1 else 0
 
 
@@ -208,15 +193,14 @@ def sort_for_slabs(
     dx: float,
     axis: int,
 ) -> tuple[Particles, NDArray | None]:
-    """Return the particles, sorted so that those of each slab (layers of cells) are stored
-    together.
+    """Return the particles, sorted by slabs (layers of cells).
 
     Args:
         particles: Particles sorted by law, and along x within each law; the order of laws is kept.
         materials: Materials of the particles.
         stiffness: One value per particle [P], or None.
         dx: Thickness of a layer [m].
-        axis: The axis perpendicular to the layers; for axis 0, the order is not changed.
+        axis: The axis perpendicular to the layers; 0: no change.
     """
     if axis == 0:
         return particles, stiffness
@@ -231,9 +215,8 @@ def sort_for_slabs(
 
 
 def costliest_scene(scene: Scene, materials: Sequence[AnyMaterial]) -> Scene:
-    """Return the scene from which the cost of the run is estimated.
-
-    A properties file is replaced by one of its materials: the one with the highest wave speed.
+    """Return the scene from which the cost of the run is estimated, with the fastest waves in a
+    properties file.
     """
     if scene.properties is None:
         return scene

@@ -136,10 +136,7 @@ def find_tops(
 ) -> dict[str, float]:
     """Return the height [m] of the top of each free solid and of each body on a lattice.
 
-    Args:
-        names: Names of the bodies.
-        surface: Surface points with normals and body indices [S,7]; None: no body is on a lattice.
-        free: The rigid solids that move freely.
+    `surface` has points, normals and body indices [S,7].
     """
     up = np.array([0.0, 0.0, 1.0])
     tops = {solid.name: solid.place[2] + solid.reach(up) for solid in free}
@@ -152,11 +149,7 @@ def find_tops(
 
 
 def wrap(scene: Scene, observers: Sequence[Observer]) -> dict[str, Any]:
-    """Return the forces and boundaries for `bind` of the solver, with the stages that observers
-    add.
-
-    The solver of a liquid with projected pressure itself sums the impulses of walls.
-    """
+    """Return the forces and boundaries for `bind` of the solver, with the observers' stages."""
     forces: Sequence[Attachable] = scene.acting
     walls: Sequence[Attachable] = scene.boundaries
     for observer in observers:
@@ -180,8 +173,8 @@ def wrap(scene: Scene, observers: Sequence[Observer]) -> dict[str, Any]:
 def kernels(scene: Scene, device: str = "cpu") -> Iterator[Any]:
     """Yield the kernels of one thread in a run of a scene.
 
-    Kernels of grabs and wrenches on a part of the object are omitted; they are compiled when
-    needed, in 0.3 s each.
+    Kernels of grabs and wrenches on a part of the object are omitted; compiling each takes 0.3 s
+    when needed.
     """
     scene = choose_solver(scene, device)
     precision = scene.precision
@@ -234,20 +227,19 @@ def kernels(scene: Scene, device: str = "cpu") -> Iterator[Any]:
 
 
 def scheme_of(scene: Scene) -> Scheme:
-    """Return the grid-to-particle transfer scheme of a scene."""
+    """Return the transfer scheme of a scene."""
     accuracy = scene.resolution
     return Scheme(accuracy.passes, accuracy.share, accuracy.rpic_damping)
 
 
 def _pairs(names: Sequence[str], scene: Scene) -> Iterator[Pair]:
-    """Yield the contact parameters of each pair of bodies that the scene lists."""
     for first, second in combinations(range(len(names)), 2):
         contact = find_pair(scene.pairs, names[first], names[second])
         yield Pair(first, second, contact.friction, contact.contact == "sticky")
 
 
 def _initial_motion(x: NDArray, particles: Particles, scene: Scene) -> tuple[NDArray, NDArray]:
-    """Return velocities [P,3], m/s, and their gradients [P,3,3], 1/s, of initial rigid motions."""
+    """Return velocities [P,3], m/s, and their gradients [P,3,3], 1/s."""
     if particles.body is None:
         return _rigid_motion(x, particles.mass, scene.object)
     v, C = np.zeros((len(x), 3)), np.zeros((len(x), 3, 3))
@@ -259,7 +251,6 @@ def _initial_motion(x: NDArray, particles: Particles, scene: Scene) -> tuple[NDA
 
 
 def _rigid_motion(x: NDArray, mass: NDArray, body: Object) -> tuple[NDArray, NDArray]:
-    """Return the velocities and velocity gradients of the rigid motion of an object."""
     wx, wy, wz = body.spin
     gradient = np.array([[0, -wz, wy], [wz, 0, -wx], [-wy, wx, 0]])
     centre = (mass[:, None] * x).sum(axis=0) / mass.sum()

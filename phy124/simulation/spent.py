@@ -1,7 +1,4 @@
-"""Measures the CPU time of a simulation; `time.budget` limits this time.
-
-The time of other programs is not counted, so other programs cannot stop a run.
-"""
+"""Measures the CPU time of a simulation, without other programs; `time.budget` limits this time."""
 
 import time
 from collections.abc import Iterator
@@ -11,16 +8,15 @@ from phy124.mpm.threads import Team
 
 
 class Spent:
-    """CPU time of the busiest thread of the simulation [s].
+    """CPU time of the busiest thread [s].
 
     On a GPU, wall-clock time is used, since GPU time is not measured per program.
     """
 
     def __init__(self, team: Team, device: str) -> None:
-        """Set the time of a team of threads on a Warp device to zero."""
         self._team, self._on_cpu = team, device == "cpu"
         self.earlier = 0.0
-        """Time spent in earlier `counting` contexts [s]."""
+        """Time in earlier `counting` contexts [s]."""
         self._start = self._now()
 
     @contextmanager
@@ -39,7 +35,7 @@ class Spent:
         return self.earlier + max(now - start for now, start in pairs)
 
     def _now(self) -> list[float]:
-        """Return a clock reading per thread [s]; differences of readings are CPU times."""
+        """Return a clock reading per thread [s]; differences are CPU times."""
         if not self._on_cpu:
             return [time.perf_counter()]
         return [time.thread_time(), *self._team.seconds[1:]]
