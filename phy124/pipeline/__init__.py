@@ -1,14 +1,9 @@
 """Runs the whole chain: picture -> foreground -> Gaussians -> moving Gaussians -> files.
 
-`generate` makes Gaussians from a picture (`make_gaussians` in phy124/pipeline/gaussians.py) and
-calls `simulate`. `simulate` prepares the scene (`phy124.simulation.prepare`) and runs it.
-
-`RunFolder.fill` (phy124/pipeline/run_folder.py) saves each frame, then writes the clip, the videos
-(`phy124.rendering.film`) and the report. `go_on` continues an interrupted run. All these functions
-report their progress and the duration of each stage. A run that is refused leaves no files. A
-cancelled run saves its finished frames only if `keep` is set. A run that the solver stops early
-always saves its finished frames. If a run ends in any other way (an error, lack of disk space or
-memory, a kill), the finished frames stay on disk for `go_on`. A complete clip also stays on disk.
+`generate` makes Gaussians from a picture and calls `simulate`. `go_on` continues an interrupted
+run. A run that is refused leaves no files. A cancelled run saves its finished frames only if `keep`
+is set. A run that the solver stops early always saves its finished frames. If a run ends in any
+other way, the finished frames stay on disk for `go_on`.
 """
 
 from __future__ import annotations
@@ -74,15 +69,14 @@ def generate(
     """Turn a picture into moving Gaussians; write the Gaussians, videos and a report into a folder.
 
     Args:
-        image: The picture, or one picture for each object of the scene; not used if the generator
-            is a .ply file.
+        image: The picture, or one picture for each object of the scene.
         scene: The scene to simulate.
         out: The folder to write.
         context: Device, threads, progress and stopwatch.
-        goal: Largest error or longest time; the accuracy is chosen to meet it
+        goal: Largest error or longest time, for which the accuracy is chosen
             (`phy124.accuracy.choose`).
         forecaster: Predicts the time of the run; the report states both times.
-        keep: Whether a cancelled run keeps its frames, so that `go_on` can continue it.
+        keep: Whether a cancelled run keeps its frames for `go_on`.
         error: Whether the error of the run is estimated if this takes little time.
         **making: `device`, `threads` and `progress` if there is no context, and options of
             `phy124.pipeline.gaussians.make_object`.
@@ -141,19 +135,17 @@ def simulate(
         out: The folder to write.
         context: Device, threads, progress and stopwatch.
         about: Entries of the report that describe how the Gaussians were made.
-        crop: Position of the object in the picture on which the masks of parts were painted.
-        cutout: The cut-out, to be saved with the results.
-        goal: Largest error or longest time; the accuracy is chosen to meet it
+        crop: Position of the object in the picture with the masks of parts.
+        cutout: The cut-out, which is saved with the results.
+        goal: Largest error or longest time, for which the accuracy is chosen
             (`phy124.accuracy.choose`).
         forecaster: Predicts the time of the run; the report states both times.
-        keep: Whether a cancelled run saves and renders its frames, so that `go_on` can continue it.
+        keep: Whether a cancelled run saves and renders its frames, for `go_on`.
         films: Whether videos are made.
-        rescues: Whether finished frames are saved if the run fails or its folder has no space;
-            `Incomplete` then names the saved files.
+        rescues: Whether finished frames are saved if the run fails or its folder has no space.
         error: Whether the error of the run is estimated if this takes little time
             (`phy124.accuracy.companion`).
-        each: Called with the simulation and every frame as soon as the frame is computed, except
-            in trial runs that look for a grid that meets `goal`.
+        each: Called with the simulation and every frame, except in trial runs for `goal`.
         **fields: `device`, `threads` and `progress`, if there is no context.
 
     Raises:
@@ -207,15 +199,15 @@ def go_on(
     error: bool = True,
     **fields: Unpack[ContextOptions],
 ) -> Result:
-    """Continue an interrupted run in its folder; the result equals that of an uninterrupted run.
+    """Continue an interrupted run in its folder.
 
-    The continued and the uninterrupted run are equal bit for bit with equal numbers of threads.
+    With equal numbers of threads, the result equals that of an uninterrupted run bit for bit.
 
     Args:
         out: The folder of the interrupted run.
         scene: The expected scene of the run; None if any scene is accepted.
-        context: Device, threads, progress and stopwatch. If the context sets no number of threads,
-            the previous number is used; with another number, the result differs by rounding errors.
+        context: Device, threads, progress and stopwatch; without a number of threads, the previous
+            number is used.
         any_accuracy: Whether the accuracies of the run and of `scene` may differ, as with a goal.
         keep: Whether the run is saved again if `progress` cancels it.
         error: Whether the error of the run is estimated if this takes little time.
@@ -265,7 +257,7 @@ def go_on(
 
 
 def _refuse_other(scene: dict[str, Any], paused: dict[str, Any], out: PathLike) -> None:
-    """Refuse to continue a run with another scene; the InputError names the field that differs."""
+    """Refuse to continue a run with another scene."""
     asked, before = _flat(scene), _flat(paused)
     for name in {**asked, **before}:
         if asked.get(name) != before.get(name):
@@ -276,7 +268,7 @@ def _refuse_other(scene: dict[str, Any], paused: dict[str, Any], out: PathLike) 
 
 
 def _flat(data: Any, name: str = "") -> dict[str, Any]:
-    """Return nested data as a single level of keys, such as "time.frames"."""
+    """Return nested data with keys such as "time.frames"."""
     parts = data.items() if isinstance(data, dict) else enumerate(data)
     flat: dict[str, Any] = {}
     for key, value in parts:

@@ -9,15 +9,15 @@ from phy124.budget.cost import BYTES_PER_GAUSSIAN
 from phy124.simulation import Simulation
 
 PLY = 4 * 17
-"""Size of a Gaussian in a PLY file [bytes]; each further colour coefficient adds 12 bytes."""
+"""Size of a Gaussian [bytes]; each further colour coefficient adds 12 bytes."""
 PARTICLE = 48
-"""Size of a particle in one frame [bytes], in clips that store particles instead of Gaussians."""
+"""Size of a particle in one frame [bytes]."""
 EXPORTED = {"usd": BYTES_PER_GAUSSIAN, "ply": PLY, "html": 8}
-"""Size of one Gaussian in one frame [bytes], by file format."""
+"""Size of a Gaussian in one frame [bytes]."""
 PIXEL = {"png": 1.0, "gif": 0.5, "webp": 0.1, "mp4": 0.05, "webm": 0.05, "mov": 2.0}
-"""Approximate size of one rendered pixel [bytes], by video format."""
+"""Approximate size of a pixel [bytes], by video format."""
 OUTPUT = 6
-"""Approximate size of one pixel [bytes] in an additional output, such as depth."""
+"""Approximate size of a pixel [bytes] in a further output, such as depth."""
 
 
 def warn_of_disk_space(run: Simulation, out: Path, *, films: bool) -> None:
@@ -36,10 +36,8 @@ def warn_of_disk_space(run: Simulation, out: Path, *, films: bool) -> None:
 
 
 def estimate_size(run: Simulation, *, films: bool) -> float:
-    """Estimate the total size of a run's files [bytes]; the estimate is rough for videos.
-
-    The estimate includes the temporary file of frames. This file contains the Gaussians, or only
-    the particles if the clip stores particles.
+    """Estimate the total size of a run's files [bytes], including the temporary file of frames; the
+    estimate is rough for videos.
     """
     scene, count, frames = run.scene, len(run.setup.shown), run.scene.time.frames
     colours = 12 * (run.setup.shown.sh.shape[1] - 1)

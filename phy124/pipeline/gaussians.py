@@ -32,40 +32,35 @@ from phy124.simulation.bodies import errors_prefixed_with, refuse_ids
 
 PathLike = str | os.PathLike[str]
 Data = Mapping[str, Any]
-"""Options as plain data, by name."""
 SHARED = ("generator", "count", "on_cutout")
-"""Options of the first object that also apply to the other objects."""
 CLIP = ".safetensors"
-"""File name ending of a clip."""
 
 
 @dataclass(frozen=True)
 class StaticObject:
-    """Static Gaussians from the pictures of a scene's objects, and data about their making."""
+    """Static Gaussians of a scene's objects."""
 
     gaussians: Gaussians
-    """Gaussians of all objects, with `object_id` if there are several objects."""
+    """Gaussians of all objects, with `object_id` if there are several."""
     scene: Scene
     """The scene; for a capture, with the detected floor, and with regions in metres."""
     crop: Crop
-    """Position of the first object in its picture."""
     cutout: Cutout | None
-    """The cut-out of the first object, or None if there is no picture."""
+    """The cut-out of the first object; None without a picture."""
     about: dict[str, Any]
-    """Entries for the report that name the cut-out methods and the generator."""
+    """Entries for the report about cut-out and generator."""
     effort: Effort | None
-    """Predicted time of the generator, or None if the generator is fast."""
+    """Predicted time of the generator; None if the generator is fast."""
 
 
 class Objects(NamedTuple):
     """The objects of a scene that are made from pictures or files."""
 
     gaussians: Gaussians
-    """Gaussians of the objects, with `object_id` if there are several objects."""
+    """Gaussians of the objects, with `object_id` if there are several."""
     scene: Scene
-    """The scene. Each object of this scene stores its position in its picture."""
+    """Each object of this scene stores its position in its picture."""
     about: dict[str, Any]
-    """Entries for the report that describe how the objects were made."""
 
 
 def make_gaussians(
@@ -77,13 +72,13 @@ def make_gaussians(
     """Turn one picture, or a picture for each object of a scene, into static Gaussians.
 
     Args:
-        image: The picture of the first object, or several pictures. The further pictures are used,
-            in order, for the scene's `objects` that name no picture, file or shape. If there are
-            not enough pictures, the remaining objects are copies of the first object.
+        image: The picture of the first object, or several pictures. Further pictures are used, in
+            order, for the `objects` without picture, file or shape. Missing pictures are replaced
+            by copies of the first object.
         scene: The scene that the Gaussians are made for; None: the default scene.
         context: Device of the generator, progress and stopwatch.
-        **making: Options of `make_object` for the first object, and fields of the context. The
-            options `generator`, `count` and `on_cutout` also apply to the other objects.
+        **making: Options of `make_object` for the first object, and fields of the context. Options
+            in `SHARED` also apply to the other objects.
 
     Raises:
         InputError: A picture or the options cannot be used, or there are too many pictures.
@@ -126,14 +121,14 @@ def make_object(
         context: Device of the generator, progress and stopwatch.
         generator: Name of a generator, path of a .ply file, or a generator.
         options: Amount of work that the generator does.
-        reading: How to interpret the generator's .ply file, and whether to detect a floor in it.
+        reading: How to interpret the generator's .ply file.
         method: Method of segmentation, see `phy124.imaging.cutout.foreground`.
         mask: Picture that is white where the object is.
         pick: A point on the object, if the picture shows several objects.
         depth: Depth map of the picture, for `relief`.
         views: Further pictures of the object, for `relief`.
-        on_cutout: Called with each cut-out, before the slow steps begin.
-        on_estimate: Called with the forecast of a slow generator before the generator starts.
+        on_cutout: Called with each cut-out before the slow steps.
+        on_estimate: Called with the forecast of a slow generator before it starts.
         preview_with_relief: Whether a slow generator is replaced by `relief`, for a forecast.
         count: Largest number of Gaussians.
 
@@ -210,8 +205,7 @@ def with_others(
     count: int | None = None,
     on_cutout: Callable[[Cutout], object] = lambda cutout: None,
 ) -> Objects:
-    """Return the first object together with the other objects, which are made from pictures or
-    files.
+    """Return the first object together with the other objects.
 
     Args:
         first: The Gaussians of the first object, or of several objects, with `object_id`.
@@ -220,7 +214,7 @@ def with_others(
         context: Device of the generator, progress and stopwatch.
         generator: Generator for pictures, unless an object names another generator.
         count: Largest number of Gaussians of each object.
-        on_cutout: Called with each cut-out, before the slow steps begin.
+        on_cutout: Called with each cut-out before the slow steps.
 
     Raises:
         InputError: A picture or file cannot be used, or there are more of them than objects.
@@ -275,7 +269,7 @@ def split(image: PathLike | Sequence[PathLike]) -> tuple[PathLike, tuple[PathLik
 
 
 def check_sources(scene: Scene, more: Sequence[PathLike]) -> None:
-    """Refuse further pictures if they outnumber the objects that need a picture.
+    """Refuse more pictures than there are objects that need a picture.
 
     Raises:
         InputError: There are too many pictures.

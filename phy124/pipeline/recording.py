@@ -1,8 +1,7 @@
 """Records a run on disk: writes each computed frame, and the solver's state at intervals.
 
 If the run ends early (kill -9, lack of memory, an error), `resume` continues from the last saved
-state. Each frame is written only once, to the file that becomes the clip. The intervals are so long
-that writing states takes at most a hundredth of the run's time.
+state. Writing states takes at most a hundredth of the run's time.
 """
 
 import json
@@ -27,22 +26,19 @@ from phy124.runtime.memory import trim
 from phy124.simulation import Simulation
 
 PAUSE = "pause.safetensors"
-"""Name of the file from which an interrupted run continues."""
 FRAMES = "pause-{}.frames"
-"""Name of the frame file of a run that is in progress or was killed."""
 COST = 0.01
-"""Largest fraction of a run's time that may be used for writing the solver's state."""
+"""Largest fraction of a run's time for writing the solver's state."""
 GUESS = 4e8
-"""Assumed speed of writing the state until the speed has been measured [bytes/s]."""
+"""Assumed speed of writing before the first measurement [bytes/s]."""
 TRIM = 32
 """Number of frames after which freed memory is returned to the system."""
 HEADER, PER_FRAME = 32_000, 120
-"""Space reserved in the clip's file for the report [bytes]: a fixed part, and a part for each
-frame."""
+"""Space for the report in the clip's file [bytes], fixed and for each frame."""
 
 
 class Recording:
-    """Writes a run to its folder while it is in progress."""
+    """Writes a run to its folder while the run is in progress."""
 
     def __init__(
         self,
@@ -58,22 +54,23 @@ class Recording:
         Args:
             out: The folder of the run; None: nothing is written.
             about: Entries of the report that are known before the run ends.
-            files: Contents of further result files by name; they are saved together with the state.
-            frames: The frame file of the run that is continued, or None.
-            saved: Number of frames that the continued run has already computed.
+            files: Further result files by name, which are saved with the state.
+            frames: The frame file of a continued run.
+            saved: Number of frames that the continued run has computed.
         """
         self.out, self.path = out, (out or Path()) / PAUSE
         self.about, self.files, self.frames = about, files, frames
         self.failed = out is None or not disk.LOCKS_AVAILABLE
-        """Whether recording has ended because nothing can be written."""
+        """Whether nothing can be written any more."""
         self.resumed, self.saved = saved > 0, saved
-        """Whether this run continues an interrupted run, and the number of frames that would be
-        kept if it ended now."""
+        """Whether this run continues another run, and the number of frames that would be
+        kept now.
+        """
         self._run: Simulation | None = None
         self._put, self._last, self._cost = 0, time.perf_counter(), 0.0
 
     def see(self, run: Simulation) -> None:
-        """Write the new frames; also write the solver's state if enough time has passed."""
+        """Write the new frames, and from time to time the solver's state."""
         if run is not self._run:
             self._begin(run)
         if self.failed:
@@ -100,7 +97,7 @@ class Recording:
         )
 
     def pause(self, run: Simulation) -> None:
-        """Write the state of the solver after the last frame.
+        """Write the solver's state after the last frame.
 
         Raises:
             OSError: The state cannot be written.
@@ -115,7 +112,7 @@ class Recording:
         self._cost = self._last - begun
 
     def finish(self, clip: Clip, path: Path, packed: Packed | None) -> None:
-        """Complete the clip's file from the packed motion or from the frames on disk.
+        """Complete the clip's file.
 
         Raises:
             OSError: The disk is full.
@@ -134,23 +131,20 @@ class Recording:
         self.close()
 
     def close(self) -> None:
-        """Remove the frame file, whose frames are saved elsewhere or are not needed."""
+        """Remove the frame file."""
         if self.frames is not None:
             self.frames.remove()
         self.frames, self.failed = None, True
 
     def drop(self) -> None:
-        """Remove the files of this run.
-
-        If this run continues another run, the files of the other run are kept.
-        """
+        """Remove the files of this run, but not those of a run that it continues."""
         if self.resumed or not self.saved:
             self.leave()
         else:
             self.discard()
 
     def rescue(self) -> int:
-        """Keep the frames of a failed run on disk; return the number of frames."""
+        """Keep the frames of a failed run on disk; return their number."""
         if self._run is not None:
             with suppress(Exception):
                 self.pause(self._run)
@@ -158,14 +152,14 @@ class Recording:
         return self.saved
 
     def leave(self) -> None:
-        """Leave the saved state and its frame file on disk, so that `resume` can continue."""
+        """Leave the saved state and its frame file on disk."""
         if self.frames is not None:
             self.frames.close() if self.saved else self.frames.remove()
             sweep(self.path.parent)  # the state may be older than the frame file
         self.frames, self.failed = None, True
 
     def _begin(self, run: Simulation) -> None:
-        """Begin to record another run; a search for an accuracy makes several runs."""
+        """A search for an accuracy makes several runs."""
         first, self._run, self._last = self._run is None, run, time.perf_counter()
         if first:
             self._put = 0 if self.frames is None else self.saved
@@ -174,9 +168,7 @@ class Recording:
             self.frames, self._put, self.saved = None, 0, 0
 
     def _write_frames(self, run: Simulation) -> None:
-        """Write the new frames to the frame file, and free their memory. The frames are then read
-        from the memory-mapped file.
-        """
+        """Write the new frames; they are then read from the memory-mapped file."""
         for place in range(self._put, run.count):
             frame, turns = run.frames[place], run.rotations[place] if run.rotations else None
             if self.frames is None:
@@ -197,12 +189,10 @@ class Recording:
             trim()
 
     def _header(self, run: Simulation) -> int:
-        """Return the space that the header of the clip's file needs [bytes]."""
         size = len(json.dumps([run.setup.cleaned_scene.data(), self.about]))
         return HEADER + 2 * size + PER_FRAME * run.scene.time.frames
 
     def _is_due(self, run: Simulation) -> bool:
-        """Return whether enough time has passed since the solver's state was last written."""
         source = run.setup.source
         size = 4 * sum(a.size for a in (source.means, source.quats, source.scales, source.sh))
         cost = self._cost or (size + 300 * len(run.setup.particles)) / GUESS
@@ -210,11 +200,7 @@ class Recording:
 
 
 def take_up(out: Path | None, context: RunContext) -> tuple[Simulation | None, Recording]:
-    """Return the interrupted run in a folder and its recording, if the run can be continued.
-
-    Frame files of killed runs without a saved state are removed. Without a folder, nothing is
-    written.
-    """
+    """Return the interrupted run in a folder, if it can be continued, and its recording."""
     if out is not None:
         sweep(out)
     if out is None or not (out / PAUSE).is_file():
@@ -232,9 +218,7 @@ def take_up(out: Path | None, context: RunContext) -> tuple[Simulation | None, R
 
 
 def sweep(out: Path) -> None:
-    """Remove the frame files of killed runs from a folder. If the folder contains a saved state,
-    the frame file of this state is kept.
-    """
+    """Remove the frame files of killed runs; the frame file of a saved state is kept."""
     leftover = list(out.glob(FRAMES.format("*")))
     if not leftover:
         return

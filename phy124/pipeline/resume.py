@@ -33,10 +33,8 @@ FORMAT = "phy124-pause-14"
 GAUSSIANS = ("means", "quats", "scales", "opacities", "sh")
 OBJECTS = "given.object_id"
 FILE = "file."
-"""Prefix of the names of the result files that are saved with a run."""
 Tensors = dict[str, NDArray]
 ARRAY = "array"
-"""Placeholder in the metadata for an array that is stored as a tensor."""
 
 
 def save(
@@ -52,9 +50,9 @@ def save(
     Args:
         run: The run.
         path: The file to write.
-        about: Further entries to save; `read_about` returns them.
-        frames: The frame file in the same folder; if None, the frames are written to `path`.
-        files: Contents of result files by name; `read_files` returns them.
+        about: Further entries, for `read_about`.
+        frames: The frame file in the same folder; None: the frames are written to `path`.
+        files: Result files by name, for `read_files`.
 
     Raises:
         InputError: The folder is missing, or a file cannot be created in it.
@@ -98,11 +96,9 @@ def load(
 
     Args:
         path: The file.
-        context: Device, threads, progress and stopwatch. If the context sets no number of threads,
-            the previous number is used, and the result is equal bit for bit. With another number,
-            the result differs by rounding errors, and a note is added to the report. The time
-            before the pause is added to the stopwatch.
-        frames: The frame file of the run, if it is already open (`frames_of`).
+        context: Device, threads, progress and stopwatch. Without a number of threads, the previous
+            number is used. With another number, the result differs by rounding errors.
+        frames: The frame file, if it is already open (`frames_of`).
         observers: Classes of observers, as for `prepare`.
 
     Raises:
@@ -134,7 +130,7 @@ def load(
 
 
 def frames_of(path: str | os.PathLike[str]) -> Growing | None:
-    """Open the frame file of a paused run; return None if there is no separate frame file.
+    """Open the frame file of a paused run; None if there is no separate file.
 
     Raises:
         InputError: The file is missing, or another process is continuing the run.
@@ -144,19 +140,18 @@ def frames_of(path: str | os.PathLike[str]) -> Growing | None:
 
 
 def read_frames(path: str | os.PathLike[str]) -> dict[str, Any] | None:
-    """Return the description of the frame file; None if there is no separate frame file."""
+    """Return the description of the frame file; None if there is no separate file."""
     return _read(Path(path), tensors=False)[0]["frames"].get("growing")
 
 
 def read_files(path: str | os.PathLike[str]) -> dict[str, bytes]:
-    """Return the contents, by name, of the result files that were saved with a run."""
+    """Return the result files that were saved with a run, by name."""
     tensors = _read(Path(path))[1]
     files = {name: array for name, array in tensors.items() if name.startswith(FILE)}
     return {name.removeprefix(FILE): array.tobytes() for name, array in files.items()}
 
 
 def _saved_frames(metadata: dict[str, Any], tensors: Tensors, frames: Growing | None) -> Tensors:
-    """Return the arrays of the frames so far, with one row per frame."""
     if frames is not None:
         count = metadata["frames"]["count"]
         return {name: rows[:count] for name, rows in frames.arrays.items() if name in MOVING}
@@ -165,7 +160,6 @@ def _saved_frames(metadata: dict[str, Any], tensors: Tensors, frames: Growing | 
 
 
 def _threads_differ(before: int, now: int) -> list[str]:
-    """Return a note if the number of threads differs from that of the paused run."""
     if before == now:
         return []
     return [
@@ -175,13 +169,13 @@ def _threads_differ(before: int, now: int) -> list[str]:
 
 
 def read_about(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Return a saved run's metadata: its `scene`, number of `frames`, and entries `about`."""
+    """Return a saved run's `scene`, number of `frames`, and entries `about`."""
     metadata, _ = _read(Path(path), tensors=False)
     return {**metadata["about"], "scene": metadata["scene"], "frames": metadata["frames"]["count"]}
 
 
 def _plain(tree: Any, tensors: Tensors, name: str) -> Any:
-    """Return a snapshot without its arrays; add the arrays to `tensors` under their paths."""
+    """Return a snapshot without its arrays; move the arrays to `tensors`."""
     if isinstance(tree, dict):
         return {key: _plain(value, tensors, f"{name}.{key}") for key, value in tree.items()}
     if isinstance(tree, (np.ndarray, wp.array)):
@@ -191,7 +185,6 @@ def _plain(tree: Any, tensors: Tensors, name: str) -> Any:
 
 
 def _whole(tree: Any, tensors: Tensors, name: str) -> Any:
-    """Return a snapshot in which the arrays from `tensors` are inserted."""
     if not isinstance(tree, dict):
         return tree
     if ARRAY in tree:
@@ -200,7 +193,6 @@ def _whole(tree: Any, tensors: Tensors, name: str) -> Any:
 
 
 def _frames(run: Simulation) -> Tensors:
-    """Return the arrays of the frames so far, with one row per frame."""
     tensors: Tensors = {"frames.times": np.array([f.time for f in run.frames])}
     if run.frames:
         for name in ("means", "quats", "scales"):
@@ -222,7 +214,6 @@ def _frames(run: Simulation) -> Tensors:
 
 
 def _put_frames(run: Simulation, kept: Tensors) -> None:
-    """Restore, from arrays with one row per frame, the frames that a run has computed."""
     walls = kept.get("wrenches")
     wrenches_of = run.find(Wrenches)
     names = () if wrenches_of is None else wrenches_of.names
@@ -240,9 +231,7 @@ def _put_frames(run: Simulation, kept: Tensors) -> None:
 
 
 def _turn_last(run: Simulation) -> None:
-    """Rotate the colours of the last frame with the material, because a run at rest repeats the
-    frame.
-    """
+    """Rotate the colours of the last frame, because a run at rest repeats this frame."""
     if run.frames and run.rotations:
         last = run.frames[-1]
         turned = replace(last.gaussians, sh=rotate_sh(last.gaussians.sh, run.rotations[-1]))
@@ -250,7 +239,6 @@ def _turn_last(run: Simulation) -> None:
 
 
 def _read(path: Path, *, tensors: bool = True) -> tuple[dict[str, Any], Tensors]:
-    """Return the metadata and the arrays of a file."""
     remedy = "Give a file that a stopped run left, or run without --resume."
     if hindrance := obstacle(path):
         raise InputError("paused run", path, hindrance[0], remedy)
@@ -274,7 +262,7 @@ def _read(path: Path, *, tensors: bool = True) -> tuple[dict[str, Any], Tensors]
 
 
 def _checksum(tensors: Tensors) -> int:
-    """Return the CRC-32 of all arrays, sorted by name."""
+    """Return the CRC-32 of all arrays."""
     total = 0
     for name in sorted(tensors):
         total = zlib.crc32(np.ascontiguousarray(tensors[name]).data, total)

@@ -1,8 +1,6 @@
-"""Writes the folder of a run. Either all files are written (clip, Gaussians, scene, videos,
-report), or none.
+"""Writes the folder of a run: clip, Gaussians, scene, videos and report, or nothing.
 
-After the new results are written, the results of an earlier run are removed. Only files that are
-listed in the earlier report are removed.
+Of an earlier run, only files that its report lists are removed.
 """
 
 import json
@@ -44,7 +42,7 @@ from phy124.simulation import Interrupted, Simulation
 CLIP, SCENE, PLY, CUTOUT = "clip.safetensors", "scene.toml", "gaussians.ply", "cutout.png"
 REPORT = "report.json"
 LARGEST_REPORT = 1 << 26
-"""Maximum size of a report that is read [bytes]; a typical report has 10,000 bytes."""
+"""Largest size of a report that is read [bytes]; a typical report has 10,000 bytes."""
 INTERRUPTED = "it was interrupted; the same command with --resume continues it"
 
 
@@ -53,11 +51,8 @@ class Result:
     """Folder, files and report of a finished run."""
 
     folder: Path
-    """Folder that contains the files."""
     files: tuple[Path, ...]
-    """Paths of all files that were written."""
     report: dict[str, Any]
-    """The content of report.json."""
 
 
 @dataclass
@@ -67,24 +62,23 @@ class RunFolder:
     out: Path
     context: RunContext
     about: dict[str, Any]
-    """Entries that are added to the report, in addition to the run's own entries."""
+    """Further entries of the report."""
     keep: bool
-    """Whether the finished frames are saved if the context's `progress` cancels the run."""
+    """Whether a cancelled run saves its finished frames."""
     cutout: bytes | None = None
-    """Content of the cut-out's PNG file, which is saved with the results."""
+    """PNG file of the cut-out."""
     films: bool = True
-    """Whether videos are rendered."""
     frames: Growing | None = None
-    """The frame file of the run that is being continued, or None."""
+    """The frame file of a continued run."""
     continued: int = 0
-    """Number of frames that the run had computed before it was continued."""
+    """Number of frames before the run was continued."""
     rescues: bool = True
     """Whether finished frames are saved if the run fails or its folder has no space."""
     predicted: Forecast | None = None
     error: bool = True
-    """Whether the error is estimated if this takes little time (`phy124.accuracy.companion`)."""
+    """Whether the error is estimated if this takes little time."""
     packing: Future[Packed | None] = field(init=False)
-    """The packed motion of the clip, computed in another thread."""
+    """The packed motion of the clip."""
 
     def __post_init__(self) -> None:
         self.files = {CUTOUT: self.cutout} if self.cutout is not None else {}
@@ -94,9 +88,6 @@ class RunFolder:
 
     def fill(self, simulate: Callable[[], tuple[Simulation, Clip]]) -> Result:
         """Simulate the scene, save the results and render the videos.
-
-        A folder that cannot be written, or to which another run is writing, is refused before the
-        simulation.
 
         Raises:
             Incomplete: Not everything could be made or written; the message names the saved files.
@@ -118,15 +109,7 @@ class RunFolder:
     def _save_and_film(
         self, folder: Path, before: set[str], run: Simulation, clip: Clip, interrupted: bool
     ) -> Result:
-        """Save the results of the run, then render the videos.
-
-        Args:
-            folder: Temporary folder for the files.
-            before: Names of the files of an earlier run.
-            run: The run.
-            clip: The clip of the run.
-            interrupted: Whether the run was interrupted.
-        """
+        """`before` are the names of the files of an earlier run."""
         report = self._save(folder, run, clip, interrupted)
         del self.packing  # frees the memory of the solver
         made = set(deliver(folder) if self.keep else ())
@@ -153,7 +136,6 @@ class RunFolder:
         return Result(self.out, tuple(self.out / name for name in sorted(made)), report)
 
     def _with_error(self, run: Simulation, clip: Clip, interrupted: bool) -> Clip:
-        """Return the clip with the estimated error, or the reason why the error is unknown."""
         omit, goal = why_broken(self.about).rstrip("."), self.about.get("goal")
         if interrupted:
             return with_own_error(run, clip, omit="the run was interrupted")
@@ -165,7 +147,6 @@ class RunFolder:
     def _simulate(
         self, simulate: Callable[[], tuple[Simulation, Clip]]
     ) -> tuple[Simulation, Clip, bool]:
-        """Return the run, its clip, and whether it was interrupted."""
         try:
             run, clip = simulate()
             return run, clip, False
@@ -188,10 +169,7 @@ class RunFolder:
             raise
 
     def _film(self, clip: Clip, scene: Scene, folder: Path) -> tuple[bool, Exception | None]:
-        """Render the videos; return whether this was interrupted, and the exception if it failed.
-
-        Videos that are already finished are kept in both cases.
-        """
+        """Render the videos; return whether this was cancelled, and the exception if it failed."""
         if not self.films:
             return False, None
         trim()
@@ -207,7 +185,7 @@ class RunFolder:
         return False, None
 
     def _save(self, folder: Path, run: Simulation, clip: Clip, interrupted: bool) -> dict[str, Any]:
-        """Write all files except the videos, the most important files first; return the report."""
+        """Write all files except the videos, the most important files first."""
         try:
             return self._write(folder, run, clip, interrupted)
         except Exception as error:
@@ -249,7 +227,6 @@ class RunFolder:
         return report
 
     def _relist(self, folder: Path) -> None:
-        """Correct the report's list of files if a file could not be written."""
         listed = folder / REPORT
         report = json.loads(listed.read_bytes())
         report["files"] = sorted(path.name for path in folder.glob("[!.]*"))
@@ -257,7 +234,7 @@ class RunFolder:
             write_json(listed, report)
 
     def _pause(self, folder: Path, run: Simulation) -> bool:
-        """Write the state of a run that ends early; return whether the run can be continued."""
+        """Write the state of a run; return whether the run can be continued."""
         try:
             resume.save(run, folder / PAUSE, about=self.about, files=self.files)
         except (OSError, InputError):
@@ -267,7 +244,6 @@ class RunFolder:
         return True
 
     def _elsewhere(self, run: Simulation, clip: Clip, interrupted: bool) -> Incomplete:
-        """Write the results to a temporary folder; return an exception that names this folder."""
         folder = None
         try:
             folder = Path(tempfile.mkdtemp(prefix="phy124-kept-"))
@@ -291,7 +267,6 @@ class RunFolder:
         )
 
     def _end(self, made: Iterable[str], *, interrupted: bool) -> None:
-        """Remove files that are needed only while the run is in progress."""
         if not interrupted:
             self.recording.discard()
         elif PAUSE in made:
@@ -311,7 +286,6 @@ class RunFolder:
     def _update(
         self, report: dict[str, Any], made: Iterable[str], *, interrupted: bool
     ) -> dict[str, Any]:
-        """Return the report, updated with the time and the list of files."""
         report = {**report, **environment_info(self.context), "files": sorted(made)}
         if self.predicted is not None:
             report["forecast"] = self.predicted.compare(self.context.watch.seconds)
@@ -321,7 +295,6 @@ class RunFolder:
 
 
 def _scene_file(scene: Scene) -> str:
-    """Format a scene as TOML, without classes that only the user's program defines."""
     if not scene.unregistered:
         return scene.to_toml()
     left_out = ", ".join(scene.unregistered)
@@ -330,7 +303,6 @@ def _scene_file(scene: Scene) -> str:
 
 
 def _without_films(out: Path, made: Iterable[str], *, resumes: bool) -> Incomplete:
-    """Return the exception for a run whose clip was saved but neither rendered nor exported."""
     names = ", ".join(sorted(made))
     more = ", or the same command with --resume makes the missing files" if resumes else ""
     return Incomplete(
@@ -339,14 +311,13 @@ def _without_films(out: Path, made: Iterable[str], *, resumes: bool) -> Incomple
 
 
 def _after_error(out: Path, frames: int) -> Incomplete:
-    """Return the exception for a run that failed after some frames were saved."""
     return Incomplete(
         f"{frames} frames are kept in {out}; the same command with --resume continues from there"
     )
 
 
 def list_results(folder: Path) -> set[str]:
-    """Return the file names listed in the report of a folder; empty if there is no report."""
+    """Return the file names in the report of a folder."""
     path = folder / REPORT
     try:
         large = path.stat().st_size > LARGEST_REPORT
@@ -357,7 +328,7 @@ def list_results(folder: Path) -> set[str]:
 
 
 def remove_results(folder: Path, names: Iterable[str]) -> None:
-    """Remove the named files and folders from a folder; ignore names that do not exist."""
+    """Remove files and folders from a folder; ignore missing names."""
     for name in names:
         path = folder / name
         if path.is_dir() and not path.is_symlink():
@@ -372,14 +343,13 @@ def _is_plain(name: str) -> bool:
 
 
 def _source_notes(about: dict[str, Any]) -> list[str]:
-    """Return the notes about the files from which the objects were read."""
     further = about.get("sources", {}).items()
     more = (f"{name}: {note}" for name, source in further for note in source.get("notes", ()))
     return [*about.get("notes", ()), *more]
 
 
 def view_report(clip: Clip, view: View) -> dict[str, Any]:
-    """Return the report's entries about videos, such as the playback rate."""
+    """Return the report's entries about videos."""
     seen = describe_framing(clip, view)
     return {
         "playback": describe_playback(clip, view),
@@ -389,7 +359,7 @@ def view_report(clip: Clip, view: View) -> dict[str, Any]:
 
 
 def environment_info(context: RunContext) -> dict[str, Any]:
-    """Return the report's entries about the device, the versions and the duration of each stage."""
+    """Return the report's entries about device, versions and stages."""
     packages = ("phy124", "numpy", "warp-lang", "opencv-python-headless", "imageio-ffmpeg")
     versions = {}
     for package in packages:

@@ -1,4 +1,4 @@
-"""Compiles the kernels of scenes ahead of time, so that no run has to wait for the compiler."""
+"""Compiles the kernels of scenes ahead of time."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -20,26 +20,15 @@ STAGE = {
     "cpu": (shadow.cover_simd, arrange, stage.blend_staged_simd),
     "cuda": (shadow.cover, arrange, stage.draw_setting),
 }
-"""One kernel from each module that draws a stage; compiling it compiles the whole module."""
+"""One kernel from each module that draws a stage; this compiles the whole module."""
 HOST = (INFLATED.project, HULL.project, push, fields.fill, discs.find_surface)
-"""One kernel from each module that always runs on the CPU. The modules are used by the generator
-`relief`, by the set-up of lattices, and for the surfaces of liquids.
-"""
+"""One kernel from each module that always runs on the CPU."""
 FEW = {"accuracy.cells": 8, "time.frames": 2, "time.fps": 240.0}
-"""Changes that shorten the run of a scene, but do not change which kernels it needs."""
+"""Changes that shorten the run of a scene, with the same kernels."""
 
 
 def warm(scenes: Sequence[Scene], context: RunContext) -> int:
-    """Compile all kernels of runs: `relief`, set-ups, scenes, surfaces of liquids, and pictures.
-
-    Args:
-        scenes: The scenes.
-        context: Device and progress. `progress` is called with ("compile", modules done, modules)
-            if any modules are missing, and with ("try", scenes done, scenes) for the trial runs.
-
-    Returns:
-        Number of modules that were compiled.
-    """
+    """Compile all kernels of runs; return the number of modules that were compiled."""
     device, progress = context.device, context.progress
     drawn = STAGE["cpu" if device == "cpu" else "cuda"]
     listed = [kernel for scene in scenes for kernel in kernels(scene, device)]
@@ -58,8 +47,7 @@ def warm(scenes: Sequence[Scene], context: RunContext) -> int:
 def object_of_points() -> Gaussians:
     """Return a ball of Gaussians that are much smaller than their distances.
 
-    The solid of such a ball has only an eighth of the usual number of voxels. Computing all voxels
-    would take longer than the runs.
+    The solid of such a ball has only an eighth of the usual number of voxels.
     """
     full = ball(1000)
     return replace(full, scales=0.01 * full.scales)

@@ -1,8 +1,7 @@
 """Turns a 3DGS capture of a real place into an object that stands on the floor of this place.
 
-The floor is detected in the capture. The floor is visible but never moves. Contact is computed
-between the object and the scene's ground, which is at the same height as the floor. The object is
-scaled so that its longest side is the scene's `object.size`.
+The floor is detected and never moves. Contact is computed between the object and the scene's
+ground, which is at the same height. The object's longest side becomes `object.size`.
 """
 
 from contextlib import nullcontext
@@ -27,14 +26,14 @@ from phy124.schema.region import EVERYWHERE, PartRegion
 from phy124.simulation.placing import find_placement
 
 VISIBLE = 0.1
-"""The floor is detected from Gaussians with at least this opacity."""
+"""Smallest opacity of the Gaussians from which the floor is detected."""
 NEIGHBOURS = 8
 USUAL = 6.0
-"""Smallest distance of a floater from its eighth-nearest neighbour, relative to the median of this
-distance over all Gaussians."""
+"""Smallest distance of a floater from its eighth-nearest neighbour, relative to the median."""
 LONG = 3.0
 """Smallest distance of a floater from its eighth-nearest neighbour, relative to its largest
-standard deviation."""
+standard deviation.
+"""
 
 
 @dataclass(frozen=True)
@@ -44,13 +43,12 @@ class Capture:
     gaussians: Gaussians
     """Gaussians of the object, followed by the Gaussians of the floor."""
     scene: Scene
-    """The scene. The floor is a static part of the scene, and all regions are in metres."""
+    """The scene, with the floor as a static part, and with regions in metres."""
     cleaning: list[str]
-    """Sentences about the Gaussians that were removed."""
     about: dict[str, Any]
-    """Entries of the report about the file's rotation and the detected floor."""
+    """Entries of the report about the rotation and the floor."""
     notes: tuple[str, ...] = ()
-    """Sentences about parts of the file that were ignored or that had to be interpreted."""
+    """Sentences about parts of the file that were ignored or interpreted."""
 
 
 def capture(
@@ -61,7 +59,7 @@ def capture(
     Args:
         file: The file, and how to interpret it.
         scene: The scene to prepare.
-        count: Maximum number of Gaussians to keep; if it is None, all are kept.
+        count: Largest number of Gaussians; None: all are kept.
         progress: Called as in `phy124.progress`.
 
     Raises:
@@ -90,20 +88,20 @@ def adapt_scene(file: PlyFile, scene: Scene, *, count: int | None = None) -> Sce
 
 
 def in_file_units(scene: Scene) -> bool:
-    """Return whether the region of any part is stated in the units of the object's file."""
+    """Return whether any region is stated in the units of the object's file."""
     return any(part.region and part.region.units == "file" for part in scene.parts)
 
 
 @dataclass(frozen=True)
 class _Read:
-    """The Gaussians of a file, turned upright and scaled to the default position and size.
+    """Upright Gaussians of a file, in the default position and size.
 
     A position y in the file was mapped to `x = scale * rotation @ (y - origin) + offset`.
     """
 
     gaussians: Gaussians
     count: int
-    """Number of Gaussians of the object; the Gaussians of the floor come after the object's."""
+    """Number of Gaussians of the object; those of the floor come after them."""
     rotation: NDArray[np.float64]
     scale: float
     offset: NDArray[np.float64]
@@ -112,7 +110,6 @@ class _Read:
 
 
 def _alone(opened: Opened, name: str) -> _Read:
-    """Return all Gaussians as the object, without a floor."""
     scale, offset = unit_transform(opened.gaussians, name)
     placed = opened.gaussians.transform(scale, offset)
     about = {"rotation": opened.rotation.tolist(), "floor": None}
@@ -150,7 +147,7 @@ def _on_floor(opened: Opened, *, has_up: bool) -> _Read:
 
 
 def find_floaters(gaussians: Gaussians) -> NDArray[np.bool_]:
-    """Return a mask [N] of floaters: Gaussians that are small and far from other Gaussians."""
+    """Return a mask [N] of small Gaussians that are far from other Gaussians."""
     few = min(NEIGHBOURS, len(gaussians) - 1)
     means = gaussians.means.astype(np.float64)
     near = scipy.spatial.KDTree(means).query(means, few + 1)[0].reshape(len(means), -1)[:, -1]
@@ -158,7 +155,6 @@ def find_floaters(gaussians: Gaussians) -> NDArray[np.bool_]:
 
 
 def _describe_floor(floor: Floor, opened: Opened, lies: NDArray[np.bool_]) -> dict[str, Any]:
-    """Return the report's entry about the floor, in the file's axes and units."""
     return {
         "normal": (opened.rotation.T @ floor.normal).tolist(),
         "offset": floor.offset + float(floor.normal @ opened.rotation @ opened.origin),
@@ -170,7 +166,6 @@ def _describe_floor(floor: Floor, opened: Opened, lies: NDArray[np.bool_]) -> di
 
 
 def _with_floor(scene: Scene, read: _Read) -> Scene:
-    """Return the scene with the floor's Gaussians as a static part that belongs to no object."""
     if read.count == len(read.gaussians):
         return scene
     floor = Part(static=True, surroundings=True, gaussians=(read.count, len(read.gaussians)))
@@ -180,10 +175,7 @@ def _with_floor(scene: Scene, read: _Read) -> Scene:
 def _in_metres(scene: Scene, read: _Read, origin: tuple[float, float, float]) -> Scene:
     """Return the scene after converting regions in the file's units to rotated boxes in metres.
 
-    Args:
-        scene: The scene.
-        read: The Gaussians at the default position and size.
-        origin: Position (in the file's coordinates) that was moved to the origin.
+    `origin` is the position in the file that was moved to the origin.
     """
     if not in_file_units(scene):
         return scene
@@ -204,7 +196,6 @@ def _in_metres(scene: Scene, read: _Read, origin: tuple[float, float, float]) ->
 
 
 def _shift(region: PartRegion, origin: tuple[float, float, float]) -> PartRegion:
-    """Return the region relative to `origin`, a position in the file's axes and units."""
     if not any(origin):
         return region
     # The corners are stated in the rotated axes of the region.
@@ -220,7 +211,6 @@ def _region_in_metres(
     offset: NDArray[np.float64],
     number: int,
 ) -> PartRegion:
-    """Return the region of a part in metres, rotated and shifted like the file's axes."""
     # The rotation `turn` of the region is applied first: rotation @ (scale * turn @ box) + offset.
     both = rotation @ rotation_matrices(np.array([region.turn]))[0]
     corners = scale * np.array([region.lower, region.upper]) + both.T @ offset

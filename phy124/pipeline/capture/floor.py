@@ -1,9 +1,8 @@
-"""Finds the floor of a captured scene by random sampling (RANSAC).
+"""Finds the floor of a captured scene by random sampling (RANSAC; Fischler and Bolles 1981, "Random
+sample consensus").
 
-Fischler and Bolles 1981, "Random sample consensus": each trial plane passes through three random
-points, and the plane with the most points near it is chosen. The chosen plane is then fitted to
-these points by least squares. The scatter of the points around the plane determines which points
-belong to the floor.
+Each trial plane passes through three random points. The plane with the most points near it is then
+fitted to these points by least squares.
 """
 
 from dataclasses import dataclass
@@ -14,17 +13,15 @@ from numpy.typing import NDArray
 from phy124.errors import InputError
 
 TRIALS = 2000
-"""Number of trial planes; a floor that contains a fifth of all points is missed with probability
-1e-7."""
+"""Number of trial planes; a floor with a fifth of all points is missed with probability 1e-7."""
 SAMPLE = 4000
 """Number of points with which each trial plane is tested."""
 THICKNESS = 0.02
-"""A point belongs to a trial plane up to this distance, relative to the scene's spread."""
+"""Largest distance of points of a trial plane, relative to the scene's spread."""
 SIGMAS = 3.0
-"""A point belongs to the final floor up to this distance, in standard deviations of the distances.
-"""
+"""Largest distance of points of the floor, in standard deviations."""
 MIN_FRACTION = 0.1
-"""Smallest fraction of all points that a floor must contain."""
+"""Smallest fraction of all points in a floor."""
 NEAR = 0.7071
 """Cosine of the largest angle between the floor's normal and a known up direction."""
 
@@ -40,7 +37,7 @@ class Floor:
     offset: float
     """Distance from the origin along the normal, in the file's units."""
     tolerance: float
-    """A point belongs to the floor up to this distance, in the file's units."""
+    """Largest distance of points of the floor, in the file's units."""
 
     def heights(self, points: NDArray) -> Vectors:
         """Return signed heights [N] of points [N,3] above the floor."""
@@ -52,13 +49,10 @@ class Floor:
 
 
 def find_floor(points: NDArray, up: Vectors | None = None) -> Floor:
-    """Find the floor of a scene, in any units and orientation.
+    """Find the floor of a scene, in any units and orientation, from points [N,3].
 
-    Args:
-        points: Centres of the visible Gaussians [N,3].
-        up: Approximate up direction, or None. If this direction is known, planes that are too
-            steep, such as walls, are rejected. If `up` is None, up is the side of the plane with
-            more points.
+    With an approximate direction `up`, steep planes such as walls are rejected. Otherwise, up is
+    the side of the plane with more points.
 
     Raises:
         InputError: No plane contains enough points, or the plane is smaller than the object on top.
@@ -86,7 +80,6 @@ def find_floor(points: NDArray, up: Vectors | None = None) -> Floor:
 
 
 def _trials(x: Vectors, up: Vectors | None, rng: np.random.Generator) -> tuple[Vectors, Vectors]:
-    """Return unit normals [T,3] and offsets [T] of planes, each through three random points."""
     a, b, c = x[rng.integers(0, len(x), (3, TRIALS))]
     normals = np.cross(b - a, c - a)
     length = np.linalg.norm(normals, axis=1)
@@ -106,9 +99,8 @@ def _near(x: Vectors, normal: Vectors, offset: float, tolerance: float) -> int:
 
 
 def _fit(x: Vectors, normal: Vectors, offset: float) -> tuple[Vectors, float, float]:
-    """Fit a plane to the points near the plane `normal . x = offset`.
-
-    Return the fitted plane and the largest distance of points from it.
+    """Fit a plane to the points near a plane; also return the largest distance of points
+    from it.
     """
     tolerance = THICKNESS
     for _ in range(12):
@@ -124,7 +116,6 @@ def _fit(x: Vectors, normal: Vectors, offset: float) -> tuple[Vectors, float, fl
 
 
 def _check(x: Vectors, floor: Floor) -> None:
-    """Refuse a plane that is not a floor."""
     heights = floor.heights(x)
     on, above = np.abs(heights) <= floor.tolerance, heights > floor.tolerance
     if on.mean() < MIN_FRACTION:
@@ -136,9 +127,7 @@ def _check(x: Vectors, floor: Floor) -> None:
 
 
 def _spread(x: Vectors) -> float:
-    """Return the median distance of the points from their middle, or 0 if there are no points.
-    Outliers hardly affect the median.
-    """
+    """Return the median distance from the middle; outliers hardly affect the median."""
     return float(np.median(np.linalg.norm(x, axis=1))) if len(x) else 0.0
 
 
