@@ -9,9 +9,7 @@ from phy124.mpm.timestep import beside_rpic
 from phy124.schema.section import Section, omit_default
 
 USUAL = {"transfer": "apic", "gradient": "affine", "rpic_damping": 0.0}
-"""Default settings of MPM's transfers between particles and grid. Solvers other than MPM ignore
-these settings.
-"""
+"""Default transfers of MPM; other solvers ignore these settings."""
 
 
 class Accuracy(Section):
@@ -97,14 +95,14 @@ NAMED = {
         "final results: cells are a third as wide, and no rounding errors build up",
     ),
 }
-"""Settings and purpose of each named accuracy. Measured errors are in docs/lab/accuracy.md."""
+"""Settings and purpose of each named accuracy (docs/lab/accuracy.md)."""
 PRESETS = {name: accuracy for name, (accuracy, _) in NAMED.items()}
 GOOD_FOR = {name: use for name, (_, use) in NAMED.items()}
 AccuracyName = Literal["draft", "standard", "fine"]
 
 
 def describe_accuracy() -> str:
-    """Describe the values of `accuracy`: the names, and the settings of a table."""
+    """Describe the values of `accuracy`."""
     names = [f"{name} ({each.cells})" for name, each in PRESETS.items()]
     settings = []
     for name, declared in Accuracy.model_fields.items():
@@ -117,14 +115,13 @@ def describe_accuracy() -> str:
 
 
 def _list_choices(kind: Any) -> list[str]:
-    """Return all texts that a `Literal` type accepts."""
     if isinstance(kind, str):
         return [kind]
     return [choice for each in get_args(kind) for choice in _list_choices(each)]
 
 
 def check_transfer(accuracy: Accuracy) -> None:
-    """Refuse settings that the chosen transfer does not support.
+    """Refuse settings that the chosen transfer or solver does not support.
 
     Raises:
         InputError: `blend` is set without aflip, or `rpic_damping` or `gradient` without apic. Also

@@ -1,8 +1,7 @@
 """Cameras of a view: on a turntable, on a dolly, or along a path of keyframes.
 
-Angles are defined as in the view: azimuth 0 is the front, 90 the right. If the elevation is
-positive, the camera looks down. Distances and targets are in units of the object's size, so that a
-camera suits any object. Values that a camera does not set are taken from the view.
+Azimuth 0 is the front, 90 the right. Distances and targets are in units of the object's size.
+Values that a camera does not set are taken from the view.
 """
 
 from __future__ import annotations
@@ -36,12 +35,11 @@ class Poses(NamedTuple):
     elevation: Values
     """Elevation [T], degrees."""
     distance: Values
-    """Distance from the target [T], in units of the object's size."""
+    """Distance from the target [T], in object sizes."""
     fov: Values
     """Vertical field of view [T], degrees."""
     target: Values
-    """Point at which the camera looks, relative to the object's centre [T,3], in units of the
-    object's size."""
+    """Point at which the camera looks, relative to the object's centre [T,3], in object sizes."""
 
     @classmethod
     def still(
@@ -60,7 +58,7 @@ class Poses(NamedTuple):
         return cls(a, e, d, f, np.zeros((count, 3)))
 
     def replace(self, **values: ArrayLike | None) -> Poses:
-        """Return poses in which numbers or arrays replace some values; None keeps a value."""
+        """Return poses with some values replaced; None keeps a value."""
         changes = {
             name: np.broadcast_to(value, getattr(self, name).shape)
             for name, value in values.items()
@@ -223,13 +221,7 @@ AnyCamera = Annotated[TurntableCamera | DollyCamera | PathCamera, Field(discrimi
 def interpolate(at: Values, times: Sequence[float], values: Sequence[object]) -> Values:
     """Interpolate keys by a monotone cubic (Fritsch and Carlson 1980), without overshoot.
 
-    The derivative is continuous, and zero at the first and the last key. Outside the keys, the
-    value is constant. If there are only two keys, the interpolation is 3 s^2 - 2 s^3.
-
-    Args:
-        at: Times at which to interpolate [T], s.
-        times: Times of the keys, increasing [s].
-        values: A number or vector for each key.
+    The derivative is zero at the first and the last key; outside the keys, the value is constant.
     """
     from scipy.interpolate import PchipInterpolator
 

@@ -17,19 +17,19 @@ else:
     import tomli as tomllib
 
 TAGS = ("law", "kind")
-"""Keys that state the kind of a section, such as the law of a material."""
+"""Keys that state the kind of a section."""
 LENGTH = ("time.frames", "time.seconds")
-"""Two fields that set a scene's length; a change of `time.seconds` removes `time.frames`."""
+"""Fields that set a scene's length; a change of `time.seconds` removes `time.frames`."""
 BARE = re.compile(r"([\[,=]\s*)(?!(?:true|false|inf|nan)\b)([A-Za-z][\w./-]*)(?=\s*[],}])")
-"""Matches a word without quotes that is a value in a list or an inline table."""
+"""Matches a value without quotes in a list or an inline table."""
 REFERENCE = "`phy124 scenes --reference` lists all fields."
 
 
 def apply(data: dict[str, Any], changes: dict[str, Any]) -> None:
-    """Set values at dotted paths; outer paths are set first.
+    """Set values at dotted paths, outer paths first.
 
-    If the kind of a section changes, for instance to a material of another law, the old values of
-    the section are replaced by the defaults of the new kind. Values set in the same call are kept.
+    If the kind of a section changes, such as the law of a material, the old values of the section
+    are replaced by defaults.
 
     Raises:
         InputError: A path does not exist in the data.
@@ -49,7 +49,6 @@ def apply(data: dict[str, Any], changes: dict[str, Any]) -> None:
 
 
 def _check_path(path: str) -> None:
-    """Refuse a path that is too long or contains an empty name."""
     if "" in path.split("."):
         limit = "the name before or after a dot is empty."
         raise InputError(shorten(path) or "''", "a path", limit, REFERENCE)
@@ -76,7 +75,7 @@ def parse_value(text: str) -> Any:
 
 
 def parse_changes(texts: tuple[str, ...]) -> dict[str, Any]:
-    """Parse texts such as `material.E=2e4` into a dictionary of values by path.
+    """Parse texts such as `material.E=2e4` into values by path.
 
     Raises:
         InputError: A text is not of the form KEY=VALUE, or two texts set the same path to different
@@ -130,9 +129,9 @@ def _put(data: dict[str, Any], path: str, value: Any) -> None:
 
 
 def _item(section: Any, key: str, path: str, value: Any, new: Any = None) -> Any:
-    """Return the dict or list under a key; if there is none, add and return `new`.
+    """Return the dict or list under a key, or else add `new`.
 
-    A named accuracy is first replaced by its table of values, so that one value can be changed.
+    A named accuracy is replaced by its values, so that one value can be changed.
     """
     if isinstance(section, dict):
         inner = section.setdefault(key, new)

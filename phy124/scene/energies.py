@@ -1,8 +1,7 @@
 """Estimates the energy that impacts, forces, walls and grabs may convert to strain in a scene.
 
-An argument `scene` is a `Scene` of `phy124.scene`, which imports this module. The estimate does not
-depend on the shapes of the objects. Moving walls are therefore included even if they never touch an
-object. Forces are included in full even if nothing stops the accelerated object.
+`scene` is a `Scene`, which imports this module. Moving walls are included even if they never touch
+an object. Forces are included in full even if nothing stops the accelerated object.
 """
 
 import math
@@ -12,7 +11,7 @@ from phy124.boundaries import Press
 from phy124.forces.held import Grab
 
 FILLED = 0.4
-"""Typical value of volume / (size^3 * relative thickness) of an object."""
+"""Typical volume / (size^3 * relative thickness) of an object."""
 USUAL_THICKNESS = 0.2
 """Relative thickness of an object whose thickness is unknown."""
 
@@ -48,9 +47,8 @@ def energy(scene: Any, thickness: float | None = None) -> float:
 
 
 def driven(scene: Any) -> float:
-    """Return the largest displacement by a prescribed velocity, relative to the object's size.
-
-    The result is an upper bound, because the largest speed is assumed for the whole time.
+    """Return the largest displacement by a prescribed velocity, relative to the object's size; an
+    upper bound.
     """
     end = duration(scene)
     moved = [
@@ -62,18 +60,17 @@ def driven(scene: Any) -> float:
 
 
 def _lasts(force: Any, end: float) -> float:
-    """Return for how long a force acts before the scene ends [s]."""
+    """Return the time for which a force acts before the scene ends [s]."""
     return max(0.0, (end if force.end is None else min(force.end, end)) - force.start)
 
 
 def _speed(body: Any, size: float) -> float:
-    """Return the initial speed of an object, including its spin [m/s]."""
     spin = math.hypot(*getattr(body, "spin", (0.0,))) * size / 2
     return math.hypot(*getattr(body, "velocity", (0.0,))) + spin
 
 
 def _effect(force: Any, mass: float, scene: Any) -> tuple[float, float]:
-    """Return the speed [m/s] and the acceleration [m/s^2] that a force gives at full strength."""
+    """Return the speed [m/s] and the acceleration [m/s^2] by a force at full strength."""
     size = scene.object.size
     match force.kind:
         case "impulse":
@@ -95,16 +92,16 @@ def _effect(force: Any, mass: float, scene: Any) -> tuple[float, float]:
 
 
 def _mass(scene: Any, thickness: float | None) -> float:
-    """Estimate the mass of the object roughly [kg], from its size and thickness."""
+    """Estimate the mass of the object roughly [kg]."""
     part = FILLED * (thickness or USUAL_THICKNESS)
     return min(section.density for section in scene.materials) * part * scene.object.size**3
 
 
 def _wall_speed(wall: Any, size: float, end: float) -> float:
-    """Return the largest speed of a wall [m/s]; the position of a press is a cosine in time.
+    """Return the largest speed of a wall [m/s].
 
-    A wall that holds points may suddenly change its velocity. Relative to the wall, the speed of
-    the points at the wall is then equal to this change.
+    A wall that holds points may suddenly change its velocity; the points then move at this speed
+    relative to the wall.
     """
     if isinstance(wall, Press):
         return math.pi / 2 * wall.depth * size / min(wall.down, wall.up)

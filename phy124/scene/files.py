@@ -1,4 +1,4 @@
-"""Read a scene's TOML file, check its nesting depth, and list the files that it names."""
+"""Reads a scene's TOML file, checks its nesting depth, and lists the files that it names."""
 
 import os
 import sys
@@ -18,8 +18,7 @@ else:
 
 
 DEEPEST = 32
-"""Maximum nesting depth of tables and lists. The maximum limits recursion. A scene needs eight
-levels."""
+"""Largest nesting depth of tables and lists, which limits recursion; a scene needs eight levels."""
 
 
 def read_toml(path: str | os.PathLike[str], field: str) -> dict[str, Any]:
@@ -64,11 +63,7 @@ def read_cameras(path: str | os.PathLike[str]) -> list[Any]:
 
 
 def check_depth(data: Any, field: str) -> None:
-    """Refuse plain data that is nested too deep.
-
-    Args:
-        data: Tables, lists and values.
-        field: Name of the data in error messages.
+    """Refuse plain data that is nested too deep; messages call the data `field`.
 
     Raises:
         InputError: The data is nested deeper than `DEEPEST`.
@@ -88,7 +83,7 @@ def check_depth(data: Any, field: str) -> None:
 
 
 def files_named(section: Any, field: str = "") -> Iterator[tuple[str, Path]]:
-    """Yield each file that a scene names, with the dotted path of the field that names it."""
+    """Yield each file that a scene names, with the dotted path of its field."""
     if isinstance(section, Path):
         yield field, section
     elif isinstance(section, BaseModel):

@@ -1,6 +1,6 @@
-"""Decides in which scenes the elastic objects are simulated on lattices at rest.
+"""Decides in which scenes elastic objects are simulated on lattices.
 
-An argument `scene` is a `Scene` of `phy124.scene`, which imports this module.
+`scene` is a `Scene`, which imports this module.
 """
 
 import math
@@ -11,22 +11,20 @@ from phy124.lattice.refusals import is_elastic, reason_for_particles
 from phy124.scene.energies import driven, energy
 
 HARDEST = 2.0
-"""Maximum Mach number of an impact for which `auto` chooses lattices. If a duck hits the ground at
+"""Largest Mach number of an impact for which `auto` chooses lattices. If a duck hits the ground at
 Mach 2, 3 and 4, a lattice needs 5, 9 and more than 13 times as many substeps as MPM.
 """
 
 LIGHTEST = 0.03
-"""`auto` chooses lattices for bodies without damping if their density is at least this fraction of
-the density of the densest liquid. At a relative density of 0.01, a cube of E = 1 kPa gained energy.
-At a relative density of 0.03, or with E = 10 kPa, the cube did not gain energy.
+"""Smallest density of undamped bodies for which `auto` chooses lattices, relative to the densest
+liquid. At a relative density of 0.01, a cube of E = 1 kPa gained energy; at 0.03, or with E = 10
+kPa, the cube did not.
 """
 
 FARTHEST_DRIVEN = 0.5
-"""If the object is held and velocities are prescribed, `auto` chooses lattices only if the
-prescribed displacement is at most this fraction of the object's size. The limit comes from a test
-in which the upper third of a ball is driven into the held foot of the ball. At the start, the
-distance between the driven third and the foot is half the ball's size. In this test, the run on a
-lattice stops early, and the run with MPM does not.
+"""Largest prescribed displacement of a held object for which `auto` chooses lattices, relative to
+the object's size. If the upper third of a ball is driven into its held foot, which is half the
+ball's size away, the run on a lattice stops early, and the run with MPM does not.
 """
 
 
@@ -38,11 +36,9 @@ def find_elastic(scene: Any) -> list[bool]:
 def reason_for_mpm(scene: Any, device: str = "cpu") -> str:
     """Return the reason why a scene does not use lattices on a device, or an empty text.
 
-    If `accuracy.solver = "auto"`, elastic objects use lattices where lattices are supported and
-    were better in measurements (docs/lab/solvers.md). In scenes that contain objects of other
-    materials, lattices are not faster and support fewer features. On a GPU a lattice that touches
-    walls takes many times as long as particles (docs/lab/cuda.md). If a scene requests causes of
-    the energy loss that only lattices can determine, lattices are used even if they are slower.
+    If `accuracy.solver = "auto"`, elastic objects use lattices where lattices were better in
+    measurements (docs/lab/solvers.md). On a GPU, a lattice that touches walls takes many times as
+    long as particles (docs/lab/cuda.md).
     """
     accuracy = scene.resolution
     if accuracy.solver != "auto":
@@ -74,7 +70,7 @@ def reason_for_mpm(scene: Any, device: str = "cpu") -> str:
 
 
 def choose_solver(scene: Any, device: str) -> Any:
-    """Return the scene for a device, with the solver that `auto` selects on this device."""
+    """Return the scene with the solver that `auto` selects on a device."""
     if device == "cpu" or scene.resolution.solver != "auto":
         return scene
     return scene if _needs_lattice(scene) and scene.on_lattice else _with_solver(scene, "mpm")
@@ -86,9 +82,7 @@ def reason_for_others(scene: Any) -> str:
 
 
 def _find_too_light(scene: Any, sections: Sequence[Any]) -> str:
-    """Return the law of the first undamped material that is too light for a lattice in a liquid, or
-    "".
-    """
+    """Return the law of the first undamped material that is too light for a lattice in a liquid."""
     densest = max(section.density for section in scene.materials if section.law == "fluid")
     light = (
         section.law
@@ -99,20 +93,18 @@ def _find_too_light(scene: Any, sections: Sequence[Any]) -> str:
 
 
 def _needs_lattice(scene: Any) -> bool:
-    """Return whether a scene requests causes of energy loss that MPM cannot determine."""
     moves = any(wall.moves for wall in scene.boundaries)
     several = (bool(scene.objects) or moves) and not scene.projects
     return bool(scene.checks.energy and (several or scene.stiffness_profile is not None))
 
 
 def keep_lattice(scene: Any, before: Any) -> Any:
-    """Return the next scene of a run, in which elastic objects use the same solver as before."""
+    """Return the next scene of a run, with the previous solver for elastic objects."""
     if scene.solver == before.solver:
         return scene
     return _with_solver(scene, before.solver)
 
 
 def _with_solver(scene: Any, solver: str) -> Any:
-    """Return the scene with another `accuracy.solver`."""
     accuracy = scene.resolution.model_copy(update={"solver": solver})
     return scene.model_copy(update={"accuracy": accuracy})

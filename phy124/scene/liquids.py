@@ -1,6 +1,6 @@
 """Decides in which scenes the liquid is computed by pressure projection.
 
-An argument `scene` is a `Scene` of `phy124.scene`, which imports this module.
+`scene` is a `Scene`, which imports this module.
 """
 
 from collections.abc import Iterator, Sequence
@@ -11,14 +11,11 @@ from phy124.lattice.refusals import not_immersed
 from phy124.scene.accuracies import USUAL
 
 REMEDY = Remedy("accuracy.liquid = compressible", {"accuracy.liquid": "compressible"})
-"""Remedy that always helps, because the compressible solver supports all scenes."""
+"""The compressible solver supports all scenes."""
 
 
 def reason_for_compressible(scene: Any) -> str:
-    """Return the reason why a scene's liquid is computed as compressible.
-
-    The text is empty if the liquid is computed by projection.
-    """
+    """Return the reason why a scene's liquid is computed as compressible; empty with projection."""
     accuracy = scene.resolution
     if accuracy.liquid is not None:
         return "" if accuracy.liquid == "projection" else "accuracy.liquid is compressible"
@@ -36,7 +33,7 @@ def reason_for_compressible(scene: Any) -> str:
 
 
 def keep_solver(scene: Any, before: Any) -> Any:
-    """Return the next scene of a run, in which the liquid uses the same solver as before."""
+    """Return the next scene of a run, with the previous solver for the liquid."""
     if not any(section.law == "fluid" for section in scene.materials):
         return scene
     liquid = "projection" if before.projects else "compressible"
@@ -45,10 +42,8 @@ def keep_solver(scene: Any, before: Any) -> Any:
 
 
 def refuse_unprojectable(scene: Any) -> None:
-    """Check that the solver of a scene's liquids supports everything in the scene.
-
-    Args:
-        scene: The scene, whose walls include solids that follow a path.
+    """Check that pressure projection supports everything in the scene, with solids on paths as
+    walls.
 
     Raises:
         InputError: The scene contains something that only the compressible solver supports.
@@ -64,7 +59,7 @@ def refuse_unprojectable(scene: Any) -> None:
 
 
 def _obstacles(scene: Any, *, mixes: bool) -> Iterator[tuple[str, object, str]]:
-    """Yield field, value and description of features that are not supported.
+    """Yield field, value and description of unsupported features.
 
     `mixes` is true if some materials are not liquids.
     """
@@ -83,7 +78,6 @@ def _obstacles(scene: Any, *, mixes: bool) -> Iterator[tuple[str, object, str]]:
 
 
 def _of_objects(scene: Any) -> Iterator[tuple[str, object, str]]:
-    """Yield descriptions of the features of objects that are not supported."""
     wet = [_is_liquid(materials) for materials in scene.object_materials]
     for body, holds_liquid in zip(scene.every_object, wet, strict=True):
         if body.held and holds_liquid:
@@ -97,6 +91,6 @@ def _of_objects(scene: Any) -> Iterator[tuple[str, object, str]]:
 
 
 def _is_liquid(materials: Sequence[Any]) -> bool | None:
-    """Return whether an object of these materials is a liquid; None if only some parts are."""
+    """Return whether an object is a liquid; None if only some parts are."""
     liquid = {section.law == "fluid" for section in materials}
     return None if len(liquid) > 1 else liquid == {True}

@@ -22,9 +22,9 @@ _Side = Annotated[float, Field(ge=0.01, le=1)]
 _Fraction = Annotated[float, Field(ge=0, le=1)]
 CREAM = (0.93, 0.87, 0.73)
 ANY = "any"
-"""Name that means every object in the declaration of a pair."""
+"""In a pair, this name means every object."""
 FLAT = Ground | HalfSpace | Press | Container
-"""Boundaries that a solid can touch if it moves freely."""
+"""Boundaries that a freely moving solid can touch."""
 
 
 class SceneObject(Object):
@@ -79,7 +79,6 @@ class SceneObject(Object):
 
     @model_validator(mode="after")
     def _check_motion(self) -> SceneObject:
-        """Check that an object with a motion is a shape that can be a moving boundary."""
         if self.motion is None:
             return self
         if self.shape is None:
@@ -112,7 +111,7 @@ class SceneObject(Object):
 
     @property
     def scenery(self) -> bool:
-        """Whether the object has no particles: it is static, or a rigid shape with a motion."""
+        """Whether the object has no particles."""
         return self.static or self.motion is not None
 
     @property
@@ -131,9 +130,7 @@ class SceneObject(Object):
         return np.array(self.sides) / max(self.sides) * self.size / 2
 
     def solid(self, pairs: Sequence[Pair]) -> Movable:
-        """Return the boundary that moves along the object's path, with the pairs' friction and
-        contact.
-        """
+        """Return the boundary that moves along the object's path."""
         half = self.half
         centre = np.array([*self.place, self.lift + half[2]])
         pair = find_pair(pairs, self.name, ANY)
@@ -153,7 +150,7 @@ class SceneObject(Object):
 
     @property
     def waits(self) -> bool:
-        """Whether the object is made from the next picture on the command line, if there is one."""
+        """Whether the object is made from the next picture on the command line."""
         return not (self.picture or self.file or self.mesh or self.shape)
 
 
@@ -169,7 +166,7 @@ class Pair(Section):
 
 
 def check_objects(first: Object, others: Sequence[SceneObject]) -> None:
-    """Check that all names differ, and that each object stands on the floor or an existing object.
+    """Check the objects' names, and on what each object stands.
 
     Raises:
         ValueError: Two names are equal, or an object stands on itself or on an unknown object.
@@ -195,7 +192,7 @@ def check_objects(first: Object, others: Sequence[SceneObject]) -> None:
 
 
 def check_free(objects: Sequence[Object], boundaries: Sequence[Any]) -> None:
-    """Check that a solid that moves freely cannot pass through a boundary or another object.
+    """Check that a freely moving solid cannot pass through a boundary or another object.
 
     Raises:
         ValueError: The solid would pass through a boundary or another object.
@@ -244,10 +241,7 @@ def check_pairs(pairs: Sequence[Pair], names: Sequence[str]) -> None:
 
 
 def find_pair(pairs: Sequence[Pair], first: str, second: str) -> Pair:
-    """Return the contact that `pairs` declares for two objects.
-
-    An entry that names both objects takes precedence over an entry for any object.
-    """
+    """Return the contact of two objects; an entry with both names takes precedence."""
     fitting = [pair for pair in pairs if set(pair.between) <= {first, second, ANY}]
     return min(fitting, key=lambda pair: pair.between.count(ANY), default=Pair())
 

@@ -1,4 +1,4 @@
-"""Write the scene reference: each field with its accepted values, its default and its meaning."""
+"""Writes the scene reference: each field with its accepted values, its default and its meaning."""
 
 import json
 from collections.abc import Iterator
@@ -70,8 +70,6 @@ frames = 24
 views = ["front", "orbit"]
 background = "whitesmoke"
 """
-"""A complete example of a scene file, with a part, stiffness, forces, a profile, boundaries and a
-motion."""
 
 
 def format_reference(section: str | None = None) -> str:
@@ -90,7 +88,7 @@ def format_reference(section: str | None = None) -> str:
 
 
 def list_pages() -> dict[str, str]:
-    """Return tables in Markdown by section name; `scene` contains the scene's top-level fields."""
+    """Return tables in Markdown by section name; `scene` has the top-level fields."""
     declared, written = read_declaration(Scene), dict[str, str]()
     pages = dict[str, str]()
     for path, text in _format_section(declared, "Fields of a scene", declared.schema, "", written):
@@ -108,11 +106,9 @@ def format_schema() -> str:
 def _format_section(
     declared: Declaration, title: str, node: Node, path: str, written: dict[str, str]
 ) -> Iterator[tuple[str, str]]:
-    """Yield the path and the table of a section of the scene.
+    """Yield the path and the table of a section, and of inner sections without a table.
 
-    Inner sections that have no table yet follow.
-
-    `written` maps the sections that have a table to the table's heading.
+    `written` maps sections to the headings of their tables.
     """
     description = (node.get("description") or "").replace("\n", " ")
     table = "\n".join(_format_table(declared, node, written))
@@ -128,7 +124,7 @@ def _format_section(
 
 
 def _list_sections(declared: Declaration, node: Node) -> Iterator[tuple[str, Node]]:
-    """Yield the sections that a field accepts, each with the name of its law or kind."""
+    """Yield the sections that a field accepts, with the name of law or kind."""
     node = declared.resolve(node)
     if "items" in node:
         yield from _list_sections(declared, node["items"])
@@ -161,10 +157,7 @@ def _format_table(declared: Declaration, node: Node, written: dict[str, str]) ->
 
 
 def _format_default(node: Node, *, below: bool) -> str:
-    """Return the default of a field.
-
-    If the default is a section whose table is not further below, the section is written in full.
-    """
+    """Return the default of a field; a section without a table below is written in full."""
     default = node.get("default")
     if default in (None, [], ""):
         return "none"
@@ -178,6 +171,5 @@ def _format_default(node: Node, *, below: bool) -> str:
 
 
 def _format_inline(section: dict[str, Any]) -> str:
-    """Return the fields of a section that are set, as an inline table of TOML."""
     fields = [f"{name} = {json.dumps(value)}" for name, value in section.items() if value]
     return "{" + ", ".join(fields) + "}"

@@ -1,4 +1,4 @@
-"""Convert option names of earlier versions in scene files, clips and commands."""
+"""Converts option names of earlier versions in scene files, clips and commands."""
 
 import warnings
 from typing import Any
@@ -8,9 +8,9 @@ from phy124.errors import InputError
 KEYS = {"ppc": "particles_per_axis", "patience": "budget", "share": "fraction"}
 """Present names of the keys of version 0.1."""
 VALUES = {("binding", "field"): "lattice", ("kind", "field"): "zone"}
-"""Present names of the values of version 0.1, by key and value."""
+"""Present values of version 0.1, by key and value."""
 STAGES = {True: "transparent", False: "plain"}
-"""Values of `stage` that replace the values of the key `transparent` of version 0.2."""
+"""Values of `stage` for the key `transparent` of version 0.2."""
 
 
 def rename_keys(data: Any) -> Any:
@@ -31,7 +31,7 @@ def rename_keys(data: Any) -> Any:
 
 
 def rename_item(key: str, value: Any) -> tuple[str, Any]:
-    """Return a key (or dotted path) and its value, under their current names if renamed."""
+    """Return a key (or dotted path) and its value under their current names."""
     if key == "stiffness" and _is_array(value):
         _note("stiffness of kind array", "properties")
         return "properties", {"file": value.get("file")}

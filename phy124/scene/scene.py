@@ -1,7 +1,6 @@
 """Scene: all options of a user, as an immutable tree, read from and written to TOML.
 
-Each option is declared once, with its bounds and its description. Validation, the command line's
-help and the web page use this declaration.
+Each option is declared once, for validation, help and web page.
 """
 
 from __future__ import annotations
@@ -51,7 +50,7 @@ from phy124.schema.refusals import validate
 from phy124.schema.section import Section, omit_default
 
 MOST_OBJECTS = 16
-"""Maximum number of objects in a scene; each object in contact needs a velocity field."""
+"""Largest number of objects; each object in contact needs a velocity field."""
 
 
 class Scene(Section):
@@ -131,7 +130,6 @@ class Scene(Section):
         return self
 
     def _check_energy(self) -> None:
-        """Refuse `checks.energy` if the causes of the energy loss cannot be determined."""
         if not self.checks.energy:
             return
         why, solid = reason_for_others(self), not self.projects
@@ -153,7 +151,7 @@ class Scene(Section):
 
     @property
     def _damped_twice(self) -> bool:
-        """Whether RPIC damping changes the matrix C from which viscous stresses are computed."""
+        """Whether RPIC damping changes the C from which viscous stresses are computed."""
         viscous = any(math.isfinite(section.viscous_limit(self.dx)) for section in self.materials)
         return self.resolution.rpic_damping > 0 and (viscous or self.properties is not None)
 
@@ -170,12 +168,12 @@ class Scene(Section):
 
     @property
     def resolution(self) -> Accuracy:
-        """Accuracy settings. A named accuracy is replaced by its settings."""
+        """Accuracy settings; a name is replaced by its settings."""
         return PRESETS[self.accuracy] if isinstance(self.accuracy, str) else self.accuracy
 
     @property
     def particles_per_axis(self) -> float:
-        """Particles per cell and axis: as set, otherwise the number that the materials need."""
+        """As set, otherwise the number that the materials need."""
         chosen = self.resolution.particles_per_axis
         return chosen or max(section.particles_per_axis for section in self.materials)
 
@@ -220,12 +218,12 @@ class Scene(Section):
 
     @property
     def on_lattices(self) -> list[bool]:
-        """Whether each object is simulated on a lattice; only elastic objects can be."""
+        """Whether each object is simulated on a lattice."""
         return find_elastic(self) if self.on_lattice else [False] * len(self.names)
 
     @property
     def couples(self) -> bool:
-        """Whether the scene has objects on lattices and also moving objects made of particles."""
+        """Whether some moving objects are on lattices, and others are made of particles."""
         return 0 < sum(self.on_lattices) < sum(map(bool, self.object_materials))
 
     @property
@@ -255,12 +253,12 @@ class Scene(Section):
 
     @property
     def materials(self) -> list[AnyMaterial]:
-        """Material of each object with particles, followed by the materials of its moving parts."""
+        """Material of each object with particles, and of its moving parts."""
         return [section for materials in self.object_materials for section in materials]
 
     @property
     def object_materials(self) -> list[list[AnyMaterial]]:
-        """Materials of each object and of its moving parts; empty if it has no particles."""
+        """Materials of each object and its moving parts; empty without particles."""
         return [
             []
             if body.scenery
@@ -269,7 +267,7 @@ class Scene(Section):
         ]
 
     def with_solids(self) -> Scene:
-        """Return the scene with a boundary added for each object that follows a path."""
+        """Return the scene with a boundary for each object on a path."""
         solids = [item.solid(self.pairs) for item in self.objects if item.path is not None]
         if not solids:
             return self
@@ -320,8 +318,7 @@ class Scene(Section):
     def of_clip(cls, data: dict[str, Any], source: str = "clip") -> Scene:
         """Read a clip's scene for rendering; ignore classes that only another program defines.
 
-        Forces and boundaries of unknown classes are removed, and unknown materials are replaced by
-        the default.
+        Unknown materials are replaced by the default.
 
         Raises:
             InputError: The data is not a scene.
@@ -359,11 +356,11 @@ class Scene(Section):
         raise InputError("scene", name, "no preset has that name.", f"{hint} {choices}".strip())
 
     def data(self) -> dict[str, Any]:
-        """Return the whole tree as plain data, without values that are None."""
+        """Return plain data, without values that are None."""
         return self.model_dump(mode="json", exclude_none=True)
 
     def to_toml(self) -> str:
-        """Return the whole tree as TOML.
+        """Return the scene as TOML.
 
         Raises:
             InputError: A class of the user is not registered under a name.
@@ -373,9 +370,7 @@ class Scene(Section):
 
     @property
     def unregistered(self) -> dict[str, str]:
-        """Classes of the scene that have no name in scene files, each with its entry-point
-        group.
-        """
+        """Classes without a name in scene files, each with its entry-point group."""
         sections = ((LAWS, self.materials), (FORCES, self.forces), (BOUNDARIES, self.boundaries))
         return {
             type(section).__name__: kinds.group
@@ -385,7 +380,7 @@ class Scene(Section):
         }
 
     def require_serialisable(self) -> None:
-        """Refuse a scene that uses a class without a name in scene files.
+        """Refuse classes without a name in scene files.
 
         Raises:
             InputError: A class of the user is not registered under a name.
@@ -396,10 +391,9 @@ class Scene(Section):
             raise InputError(group, name, limit, remedy)
 
     def replaced(self, changes: dict[str, Any]) -> Scene:
-        """Return a copy of the scene with values at dotted paths, such as `{"material.E": 2e4}`.
+        """Return a copy with values at dotted paths, such as `{"material.E": 2e4}`.
 
-        If a material's law, or the kind of a force or boundary, changes, the other values are set
-        to the defaults of the new law or kind.
+        If a law or kind changes, the other values of the section are replaced by defaults.
 
         Raises:
             InputError: A path does not exist or a value is out of bounds.
@@ -432,7 +426,6 @@ def preset_folder() -> Path:
 
 
 def _known_part(data: dict[str, Any]) -> dict[str, Any]:
-    """Return plain data of a scene without sections of unknown classes."""
     data = _with_known_laws(data)
     for kinds in (FORCES, BOUNDARIES):
         if kinds.group in data:
@@ -441,9 +434,6 @@ def _known_part(data: dict[str, Any]) -> dict[str, Any]:
 
 
 def _with_known_laws(section: dict[str, Any]) -> dict[str, Any]:
-    """Return the plain data of a section with its parts and objects, but without unknown
-    materials.
-    """
     section = dict(section)
     if not LAWS.knows(section.get("material", {})):
         section.pop("material", None)

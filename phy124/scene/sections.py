@@ -1,4 +1,4 @@
-"""Sections of a scene except the view: the object, its parts, the timing and the checks."""
+"""Sections of a scene except the view."""
 
 from __future__ import annotations
 
@@ -14,13 +14,12 @@ from phy124.schema.region import PartRegion
 from phy124.schema.section import Section, omit_default
 
 Number = Annotated[int, Field(ge=0, le=10_000_000)]
-"""The index of a Gaussian."""
 Seconds = Annotated[float, Field(ge=1e-3, le=1e4)]
 Rate = Annotated[float, Field(ge=1, le=1000)]
 LENGTH = TypeAdapter(tuple[Seconds, Rate])
-"""Validates the length of a motion [s] together with its frames per second."""
+"""Validates the length of a motion [s] and the frames per second."""
 FLOOR = "floor"
-"""Name of the floor. An object stands on the floor unless it stands on another object."""
+"""An object stands on the floor unless it stands on another object."""
 _Degrees = Annotated[float, Field(ge=-360, le=360)]
 Angles = tuple[_Degrees, _Degrees, _Degrees]
 
@@ -75,13 +74,12 @@ class Timing(Section):
 
     @property
     def ceiling(self) -> float:
-        """Longest substep allowed [s]; infinity if only stability limits the substep."""
+        """Longest substep allowed [s]; infinity: only stability limits the substep."""
         return math.inf if self.substep is None else self.substep
 
     @model_validator(mode="before")
     @classmethod
     def _replace_seconds(cls, data: Any) -> Any:
-        """Replace `seconds` by `frames`, so that a scene states its length once."""
         if not isinstance(data, dict) or data.get("seconds") is None:
             return data
         if "frames" in data:
@@ -118,12 +116,9 @@ class Checks(Section):
 
 
 def check_energy(checks: Checks, unsupported: dict[str, bool]) -> None:
-    """Refuse `checks.energy` in a scene in which part of the energy would not be measured.
+    """Refuse `checks.energy` if part of the energy would not be measured.
 
-    Args:
-        checks: The checks of the scene.
-        unsupported: Features for which the causes of energy losses cannot be determined, and
-            whether the scene has each feature.
+    `unsupported` states for each feature without such a measurement whether the scene has it.
 
     Raises:
         InputError: `checks.energy` is on and the scene has such a feature.

@@ -1,4 +1,4 @@
-"""Summarise a scene in one line: parameters of laws, forces, boundaries, grid and frames."""
+"""Summarises a scene in one line."""
 
 import re
 from collections.abc import Iterable
@@ -11,16 +11,12 @@ BINDINGS = {
     "lattice": "Gaussians on a lattice of particles",
     "particles": "each Gaussian a particle",
 }
-"""Descriptions of the bindings in words."""
 
 
 def summarise(scene: Scene, cells: str = "") -> str:
-    """Return law and parameters, forces, boundaries, grid and frames in one line.
+    """Return law, parameters, forces, boundaries, grid and frames in one line.
 
-    Args:
-        scene: The scene.
-        cells: Words that replace the number of cells in a scene whose grid is chosen later. By
-            default, the line contains the scene's number.
+    `cells` replaces the number of cells if the grid is chosen later.
     """
     items = [_describe_material(scene.material)]
     if scene.parts:
@@ -58,7 +54,6 @@ def _describe_material(material: AnyMaterial) -> str:
 
 
 def _list_solvers(scene: Scene) -> str:
-    """Return the names of the solvers that move the objects, as in `Accuracy`."""
     by_mpm = scene.has_solids or not scene.projects
     used = {
         "lattice": scene.on_lattice,

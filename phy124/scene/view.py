@@ -1,4 +1,4 @@
-"""View: the cameras, the picture size, the formats and the stage for rendering a clip."""
+"""View: cameras, picture size, formats and stage of videos."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Degrees = Annotated[float, Field(ge=-360, le=360)]
 
 
 def _width_and_height(size: Any) -> Any:
-    """Convert 512, "512", [640, 480] or "640x480" to two numbers; the field validates the rest.
+    """Convert 512, "512", [640, 480] or "640x480" to two numbers.
 
     Raises:
         ValueError: A text is neither a number nor two numbers.
@@ -150,21 +150,21 @@ class View(Section):
 
     @property
     def sides(self) -> tuple[str, ...]:
-        """Names of all views: named views, azimuths such as "azimuth-45", and cameras."""
+        """Names of views, azimuths such as "azimuth-45", and cameras."""
         angles = (f"azimuth-{azimuth % 360:g}" for azimuth in self.azimuths)
         return (*self.views, *angles, *(camera.name for camera in self.cameras))
 
     @property
     def fits(self) -> bool:
-        """Whether the camera's distance is chosen automatically to show the whole motion."""
+        """Whether the camera's distance is chosen to show the whole motion."""
         return self.fit and self.distance == View.model_fields["distance"].default
 
     def camera(self, side: str) -> AnyCamera | None:
-        """Return the moving camera with this name; None if the view is fixed."""
+        """Return the moving camera with this name; None: a fixed view."""
         return next((camera for camera in self.cameras if camera.name == side), None)
 
     def only(self, side: str) -> View:
-        """Return a copy of these options with only the view of this name."""
+        """Return these options with only one view."""
         camera = self.camera(side)
         views = tuple(name for name in self.views if name == side)
         angle = () if views or camera else (float(side.removeprefix("azimuth-")),)
