@@ -49,15 +49,12 @@ OBSERVERS: tuple[type[Observer], ...] = (
 )
 """All observers, in the order in which a run calls them.
 
-Each observer adds its stages around the stages of the observers before it. `ExternalWork` therefore
-measures all walls together. The measurement of `ExternalWork` includes the stages that measure
-single walls. If an observer finds an error, the attempt to compute the frame ends, so `Tearing`
-reads only valid frames.
+Each observer adds stages around those of the observers before. `ExternalWork` therefore measures
+all walls together. `Tearing` reads only valid frames, since an error ends the attempt.
 """
 
 
 def _replace(changes: dict[type[Observer], type[Observer]]) -> tuple[type[Observer], ...]:
-    """Return all observers, with some classes replaced by others."""
     return tuple(changes.get(observer, observer) for observer in OBSERVERS)
 
 
@@ -66,7 +63,7 @@ LIQUID_OBSERVERS = _replace({ExternalWork: MeanWork})
 POOL_OBSERVERS = _replace({ExternalWork: MeanWork, LiquidDissipation: PoolDissipation})
 """Observers of a liquid with projected pressure that contains only freely moving solids."""
 MIXED_OBSERVERS = _replace({ExternalWork: PoolWork, LiquidDissipation: MixedDissipation})
-"""Observers of a liquid with projected pressure that contains particle bodies."""
+"""Observers of a liquid with projected pressure and particle bodies."""
 LATTICE_OBSERVERS: tuple[type[Observer], ...] = (
     LatticeMethod,
     LatticePairs,
@@ -81,7 +78,7 @@ LATTICE_OBSERVERS: tuple[type[Observer], ...] = (
     LatticeCrossing,
     Sleep,
 )
-"""Observers of bodies on lattices; there is no `Tearing`, since lattices cannot tear."""
+"""Observers of bodies on lattices, which cannot tear."""
 COUPLED_OBSERVERS: tuple[type[Observer], ...] = (
     CoupledPairs,
     LatticeSelfContact,
@@ -91,7 +88,7 @@ COUPLED_OBSERVERS: tuple[type[Observer], ...] = (
     CoupledWork,
     CoupledWatchdog,
 )
-"""Observers of runs with both bodies on lattices and particle bodies."""
+"""Observers of bodies on lattices together with particle bodies."""
 IMMERSED_OBSERVERS: tuple[type[Observer], ...] = (
     ImmersedPairs,
     LatticeSelfContact,
@@ -102,11 +99,11 @@ IMMERSED_OBSERVERS: tuple[type[Observer], ...] = (
     ImmersedDissipation,
     CoupledWatchdog,
 )
-"""Observers of runs with bodies on lattices in a liquid with projected pressure."""
+"""Observers of bodies on lattices in a liquid with projected pressure."""
 
 
 def observers_for(scene: Scene) -> tuple[type[Observer], ...]:
-    """Return the list of observers for the solver that simulates a scene."""
+    """Return the observers for the solver of a scene."""
     if scene.immerses:
         return IMMERSED_OBSERVERS
     if scene.couples:

@@ -1,8 +1,7 @@
 """Contacts: measures the force of the walls on each Gaussian.
 
 The impulse of walls on the nodes around a particle is summed in every substep, weighted by the
-particle's fraction of the nodes' mass. The sum over all particles is the impulse that
-`phy124.monitor.external_work` records for the walls.
+particle's fraction of the nodes' mass.
 """
 
 from __future__ import annotations
@@ -28,19 +27,18 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
 STAGE = "contacts"
-"""Name of the stages that sum contact impulses."""
 PARTICLE_COST = 20
-"""Cost per particle of distributing the impulse of a wall to the particles [ns]."""
+"""Cost of distributing a wall's impulse [ns per particle]."""
 
 
 class Contacts(Observer):
-    """The observer that sums the impulse of the walls on each particle during a frame."""
+    """Sums the impulse of the walls on each particle during a frame."""
 
     in_substeps = True
 
     def __init__(self) -> None:
         self._impulses: dict[int, wp.array] = {}
-        """Impulse on each particle [P,3], N s, one array per worker."""
+        """Impulse on each particle [P,3], N s, for each worker."""
         self._setup: Observed | None = None
         self._nearest_gaussian: NDArray[np.int64] | None = None
 
@@ -57,7 +55,7 @@ class Contacts(Observer):
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
-        """Return the row of the effects report for contact forces."""
+        """Return the row of the effects report."""
         walls = len(subject.scene.boundaries)
         asked, why = (
             subject.scene.keeps_contacts and walls > 0,
@@ -67,7 +65,7 @@ class Contacts(Observer):
 
     @classmethod
     def of(cls, setup: Observed) -> Self:
-        """Create the observer of a run."""
+        """Return the observer of a run."""
         contacts = cls()
         contacts._setup = setup
         return contacts
@@ -75,22 +73,19 @@ class Contacts(Observer):
     def wrap_walls(
         self, walls: Sequence[Boundary], inner: Sequence[Attachable]
     ) -> list[Attachable]:
-        """Return the walls, each with stages that measure the wall's impulse before and after it
-        acts.
-        """
+        """Return the walls, with stages that measure each wall's impulse."""
         pairs = zip(walls, inner, strict=True)
         return [Measured([wrapped], partial(self._measure, wall)) for wall, wrapped in pairs]
 
     def before_attempt(self, *, closely: bool = False) -> None:
-        """Set the sums of the walls' impulses to zero."""
+        """Set the sums of impulses to zero."""
         for impulses in self._impulses.values():
             impulses.zero_()
 
     def after_frame(self, frame: Frame) -> Frame:
         """Return the frame with the mean force on each moving Gaussian [N,3], N.
 
-        The mean force is taken over the time since the previous frame. The force on an inner
-        particle acts on the nearest Gaussian.
+        The force on an inner particle acts on the nearest Gaussian.
         """
         assert self._setup is not None
         moving = self._setup.scenery.moving
@@ -101,28 +96,28 @@ class Contacts(Observer):
         return replace(frame, contacts=np.stack(sums, axis=1).astype(np.float32))
 
     def find_nearest(self, setup: Observed) -> NDArray[np.int64]:
-        """Return for each particle the moving Gaussian that receives the particle's impulse [P]."""
+        """Return the moving Gaussian that receives each particle's impulse [P]."""
         moving, particles = setup.scenery.moving, setup.particles
         nearest = scipy.spatial.KDTree(moving.means).query(particles.x)[1]
         return np.where(particles.gaussian >= 0, particles.gaussian, nearest)
 
     def read_impulses(self, setup: Observed) -> NDArray[np.float64]:
-        """Return the impulse on each particle since the start of the frame [P,3], N s."""
+        """Return the impulse on each particle in the frame so far [P,3], N s."""
         return self.impulses(len(setup.particles))
 
     def impulses(self, count: int) -> NDArray[np.float64]:
-        """Return the impulse on each of `count` particles since the frame began [P,3], N s."""
+        """Return the impulse on each of `count` particles in the frame so far [P,3], N s."""
         total = np.zeros((count, 3))
         for impulses in self._impulses.values():
             total += impulses.numpy()
         return total
 
     def snapshot(self) -> dict[str, Any]:
-        """Return a snapshot of the sums of the walls' impulses on the particles."""
+        """Return the sums of impulses."""
         return {str(worker): wp.clone(sums) for worker, sums in self._impulses.items()}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Restore the sums of the walls' impulses from a snapshot."""
+        """Restore the sums of impulses."""
         for worker, sums in self._impulses.items():
             copy = snapshot.get(str(worker))
             sums.zero_() if copy is None else sums.assign(copy)
@@ -130,11 +125,7 @@ class Contacts(Observer):
     def _measure(
         self, wall: Boundary, stages: Sequence[Stage], model: Model, state: State
     ) -> tuple[Stage, Stage, Stage]:
-        """Return the stages of a substep that measure a wall: one before the wall acts, and two
-        after.
-
-        The wall itself acts in `stages`, between the first and the second of the returned stages.
-        """
+        """Return the stages before a wall acts, and two after."""
         near = NodesNear([wall], model)
         copy, changed, share = contact_kernels(model.real)
         corners: list[wp.array] = []
@@ -160,11 +151,7 @@ class Contacts(Observer):
         return Stage(STAGE, before), Stage(STAGE, between), Stage(STAGE, after)
 
     def _sums(self, grid: Grid, model: Model) -> wp.array:
-        """Return the array [P,3] in which a CPU worker sums the impulses of the walls on each
-        particle.
-
-        Nodes of several workers may act on one particle, so each worker has a separate array.
-        """
+        """Return a worker's sums [P,3]; nodes of several workers may act on one particle."""
         if grid.worker not in self._impulses:
             zeros = wp.zeros(len(model), dtype=wp.vec3d, device=model.device)
             self._impulses[grid.worker] = zeros
@@ -172,9 +159,7 @@ class Contacts(Observer):
 
 
 def contact_kernels(real: Any) -> tuple[Any, Any, Any]:
-    """Return the kernels that measure the impulse of a wall: one runs before it acts, two
-    afterwards.
-    """
+    """Return the kernels that measure a wall: one before the wall acts, two afterwards."""
     return (
         kernels.make_contact_copy(real),
         kernels.make_contact_reach(real),

@@ -1,8 +1,4 @@
-"""Observers of runs in which some bodies are on lattices and the others consist of particles.
-
-On lattices, the kernel of the contact with a wall sums the wall's impulse
-(phy124/monitor/lattice.py). On the grids of particles, observers measure the impulses of walls.
-"""
+"""Observers of runs in which some bodies are on lattices and the others consist of particles."""
 
 from __future__ import annotations
 
@@ -33,7 +29,6 @@ class CoupledTotals(Totals):
     """Sums of momentum and energy over particles and lattice nodes."""
 
     def __init__(self, solver: CoupledSolver) -> None:
-        """Record the kernel launches that compute the sums."""
         super().__init__(solver.model, solver.state)
         lattice = solver.lattice
         self._points, self._nodes = Totals(lattice.model, lattice.state), LatticeTotals(lattice)
@@ -55,10 +50,10 @@ class CoupledTotals(Totals):
 
 
 class CoupledWatchdog(LatticeWatchdog):
-    """Checks a run that has both lattices and particles."""
+    """Checks a run with both lattices and particles."""
 
     def totals_of(self, solver: Any) -> Totals:
-        """Return the sums of momentum and energy over the solver's nodes and particles."""
+        """Return the sums over nodes and particles."""
         return CoupledTotals(solver)
 
 
@@ -71,41 +66,34 @@ class CoupledWork(ExternalWork):
         super().bind(solver, observers)
 
     def _read_impulses(self) -> None:
-        """Keep the impulses of the previous walls, and from now on also sum those of the new
-        walls.
-        """
+        """Keep the impulses of the previous walls; also sum those of the new walls."""
         if MEAN in self._device:
             self._closed[MEAN] = self._closed[MEAN] + self._open(MEAN)
         self._device[MEAN] = self._solver.lattice.walls.sums
 
 
 class CoupledWrenches(Wrenches):
-    """Measures the wrenches (forces and torques) on walls and between bodies.
-
-    The bodies are on lattices or consist of particles.
-    """
+    """Measures the wrenches (forces and torques) on walls and between bodies."""
 
     def wrap_walls(
         self, walls: Sequence[Boundary], inner: Sequence[Attachable]
     ) -> Sequence[Attachable]:
-        """Return the walls with stages that measure the impulse of each wall; store the walls'
-        names.
-        """
+        """Return the walls, with stages that measure each wall's impulse."""
         self._parts = simple_wall_names(walls)
         return super().wrap_walls(walls, inner)
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
-        """Connect the observer to the solver, which sums the impulses of walls on lattices."""
+        """Connect the observer to the solver."""
         super().bind(solver, observers)
         self._before = self._now()
 
     def before_attempt(self, *, closely: bool = False) -> None:
-        """Store the impulses of the walls on lattices, as summed at the start of the frame."""
+        """Store the impulses of walls on lattices at the start of the frame."""
         super().before_attempt(closely=closely)
         self._before = self._now()
 
     def of_wall(self, wall: str, centre: NDArray, fps: float) -> Wrench:
-        """Return the mean wrench (force and torque) on a wall since the start of the frame."""
+        """Return the mean force and torque on a wall since the start of the frame."""
         force, torque = super().of_wall(wall, centre, fps)
         rows = self._before - self._now()
         for name, row in zip(self._parts, rows, strict=True):
@@ -131,36 +119,30 @@ class CoupledContacts(Contacts):
         yield from LatticeContacts.kernels(subject, real)
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
-        """Start to sum the impulses of walls on lattices."""
+        """Sum the impulses of walls on lattices from now on."""
         self._lattices = LatticeContacts()
         self._lattices.bind(solver.lattice)
 
     def change(self, scene: Scene) -> None:
-        """Start to sum the impulses of new walls on lattices."""
+        """Sum the impulses of new walls on lattices from now on."""
         self._lattices.change(scene)
 
     def before_attempt(self, *, closely: bool = False) -> None:
-        """Set the sums of the walls' impulses to zero."""
+        """Set the sums of impulses to zero."""
         super().before_attempt(closely=closely)
         self._lattices.before_attempt()
 
     def find_nearest(self, setup: Observed) -> NDArray[np.int64]:
-        """Return the index of the Gaussian that receives the impulse on each particle, surface
-        point or node.
-        """
+        """Return the Gaussian that receives the impulse on each particle, surface point or node."""
         return np.concatenate([super().find_nearest(setup), self._lattices.find_nearest(setup)])
 
     def read_impulses(self, setup: Observed) -> NDArray[np.float64]:
-        """Return the impulses [N s] of walls on particles, and on surface points and nodes of
-        lattices.
-        """
+        """Return the impulses [N s] on particles, surface points and nodes."""
         return np.concatenate([super().read_impulses(setup), self._lattices.read_impulses(setup)])
 
 
 class CoupledPairs(LatticePairs):
-    """Adds a row to the effects report that lists the bodies on lattices and the particle
-    bodies.
-    """
+    """Lists the bodies on lattices in the effects report."""
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:

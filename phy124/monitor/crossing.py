@@ -9,31 +9,30 @@ from phy124.monitor.wrenches import wall_names
 from phy124.mpm import Attachable
 
 DEEP = 0.5
-"""Depth of a point inside a wall above which the report contains a note [cells]."""
+"""Smallest depth of a point inside a wall for a note [cells]."""
 
 
 class LatticeCrossing(Observer):
-    """Measures how deep points are in a wall; finds other walls that touch the deepest point."""
+    """Measures how deep points are in a wall."""
 
     kept = ("_deepest", "_between")
 
     @classmethod
     def called_for(cls, subject: Subject) -> bool:
-        """Return whether the scene has walls that a point can be inside of."""
+        """Return whether the scene has walls that do not only hold material."""
         return not all(wall.holds for wall in subject.scene.boundaries)
 
     def __init__(self) -> None:
-        """Assume that no point has been inside a wall so far."""
         self._deepest, self._between = 0.0, ("", "")
 
     def wrap_walls(self, walls: Sequence[Boundary], inner: Sequence[Attachable]) -> Any:
-        """Return the walls unchanged, and store the name of each simple wall."""
+        """Return the walls unchanged; store the name of each simple wall."""
         named = zip(wall_names(walls), walls, strict=True)
         self._names = [name for name, wall in named if not wall.holds for _ in wall.parts()]
         return inner
 
     def after_attempt(self) -> Violation | None:
-        """Measure how deep points are inside walls; a large depth is not an error of the run."""
+        """Measure how deep points are inside walls; this is never an error."""
         depth, inside = self._solver.walls.depth()
         if depth > max(DEEP, self._deepest):
             pinched, first, second = self._solver.pinch()
@@ -44,7 +43,7 @@ class LatticeCrossing(Observer):
         return None
 
     def notes(self) -> list[str]:
-        """Return a note about the point that is deepest inside a wall."""
+        """Return a note about the deepest point."""
         if not self._deepest:
             return []
         inside, touching = self._between

@@ -1,7 +1,4 @@
-"""Measures momentum, energy and volume ratios of a state, and finds invalid particles.
-
-Particles and substeps are described only after a problem has been detected.
-"""
+"""Measures momentum, energy and volume ratios of a state, and finds invalid particles."""
 
 from __future__ import annotations
 
@@ -23,7 +20,6 @@ if TYPE_CHECKING:
     from phy124.liquid import AnySolver
 
 NO_PARTICLE = 2**31 - 1
-"""An index larger than any particle's index."""
 LIMITS = {
     "elastic": "the stiffness of the material",
     "speed": "its speed",
@@ -32,7 +28,7 @@ LIMITS = {
     "user": "time.substep",
     "wave": "the waves on its surface",
 }
-"""Phrase that a message uses for each limit of the substep."""
+"""Phrase for each limit of the substep."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,13 +40,14 @@ class Diagnostics:
     angular: NDArray[np.float64]
     """Angular momentum about the origin [3], kg m^2/s."""
     kinetic: float
-    """Kinetic energy [J] after the last update of the velocities, half a substep before the time of
-    the positions."""
+    """Kinetic energy [J] at the time of the velocities, half a substep before that of the
+    positions.
+    """
     elastic: float
     """Elastic energy [J]."""
     lag: float
     """Change of the kinetic energy [J] from the time of the velocities to the time of the
-    positions, at which the elastic energy is measured.
+    positions.
     """
     middle: NDArray[np.float64]
     """Sum of mass times position [3], kg m."""
@@ -61,9 +58,9 @@ class Diagnostics:
     broken: int
     """Number of particles whose state is not finite."""
     inverted: int
-    """Number of inverted particles (det F < 0)."""
+    """Number of particles with det F < 0."""
     first_broken: int
-    """Lowest index of a particle whose state is not finite."""
+    """Lowest index of a particle that is not finite."""
     first_inverted: int
     """Lowest index of an inverted particle."""
 
@@ -71,20 +68,18 @@ class Diagnostics:
     def energy(self) -> float:
         """Sum of kinetic and elastic energy at the same time [J].
 
-        The value is the sum of `m/2 v(t - dt/2) . v(t + dt/2)` and `psi(t)` over all particles.
-        Leapfrog integration conserves this sum exactly in a vibration.
+        The value is the sum of `m/2 v(t - dt/2) . v(t + dt/2)` and `psi(t)`. Leapfrog integration
+        conserves this sum exactly in a vibration.
         """
         return self.kinetic + self.elastic + self.lag
 
 
 class Totals:
-    """Recorded kernel launches that sum over the particles of a state, in float64."""
+    """Sums over the particles of a state, in float64."""
 
     on_lattice = False
-    """Whether the particles are points on a lattice."""
 
     def __init__(self, model: Model, state: State) -> None:
-        """Record the kernel launches that sum over the state; `read` returns the sums."""
         device, sums = model.device, at.SUMS
         self._numbers = wp.zeros(sums + 2, dtype=wp.float64, device=device)
         self._counts = wp.zeros(4, dtype=int, device=device)
@@ -94,7 +89,6 @@ class Totals:
         self._launches = [launch for group in model.groups for launch in self._sum(group, outputs)]
 
     def _sum(self, group: Group, outputs: list[wp.array]) -> list[wp.Launch | None]:
-        """Record the kernel launches that sum over the particles of one group."""
         model, state, part = self._model, self._state, group.particles
         threads, *fraction = shared_out(len(group), model.device)
         inputs = [
@@ -132,7 +126,6 @@ class Totals:
 
 
 def _split(array: wp.array, count: int) -> tuple[wp.array, wp.array]:
-    """Split an array into its first elements and the remaining elements."""
     return cast("wp.array", array[:count]), cast("wp.array", array[count:])
 
 
@@ -142,9 +135,7 @@ def diagnose(solver: AnySolver) -> Diagnostics:
 
 
 def compute_energies(model: Model, state: State) -> NDArray[np.float64]:
-    """Return the kinetic plus elastic energy of each particle [P], J; if it is NaN, return
-    infinity.
-    """
+    """Return the kinetic plus elastic energy of each particle [P], J; infinity instead of NaN."""
     energy = wp.zeros(len(model), dtype=wp.float64, device=model.device)
     for group in model.groups:
         part = group.particles
@@ -156,7 +147,7 @@ def compute_energies(model: Model, state: State) -> NDArray[np.float64]:
 
 
 def compute_speeds(state: State) -> NDArray[np.float64]:
-    """Return the speed of each particle [P], m/s; if it is NaN, return infinity."""
+    """Return the speed of each particle [P], m/s; infinity instead of NaN."""
     velocities: NDArray[Any] = state.v.numpy()
     return _finite_or_infinity(np.linalg.norm(velocities.astype(np.float64), axis=1))
 
@@ -166,14 +157,14 @@ def _finite_or_infinity(values: NDArray) -> NDArray[np.float64]:
 
 
 def find_broken(state: State) -> NDArray[np.intp]:
-    """Return, in ascending order, the indices of particles whose state is not finite."""
+    """Return the indices of particles that are not finite, in ascending order."""
     arrays = [np.asarray(array.numpy()) for array in state.arrays().values() if len(array)]
     flat = [array.reshape(len(state.x), -1) for array in arrays]
     return np.flatnonzero(~np.isfinite(np.concatenate(flat, axis=1)).all(axis=1))
 
 
 def name_law(model: Model, index: int) -> str:
-    """Return the name of a particle's constitutive law, as written in scene files."""
+    """Return the name of a particle's law in scene files."""
     kernel = next(g.law.name for g in model.groups if g.start <= index < g.stop)
     sections = [section for section in model.materials if section.device_law.name == kernel]
     # A law from outside phy124 may have no name.
@@ -181,7 +172,7 @@ def name_law(model: Model, index: int) -> str:
 
 
 def describe_particle(model: Model, state: State, index: int) -> str:
-    """Return a phrase for messages with a particle's index, law, position and speed."""
+    """Return a phrase with a particle's index, law, position and speed."""
     rest, now = _position(model.rest[index]), np.asarray(state.x.numpy())[index]
     words = f"particle {index} of law {name_law(model, index)}, at {rest} m at rest"
     speed = compute_speeds(state)[index]
@@ -191,7 +182,7 @@ def describe_particle(model: Model, state: State, index: int) -> str:
 
 
 def describe_substep(model: Model, state: State, clock: Clock) -> str:
-    """Return a phrase for messages with the substep, its limit, and the fastest particle."""
+    """Return a phrase with the substep, its limit, and the fastest particle."""
     limit = clock.stable()
     fastest = describe_particle(model, state, int(compute_speeds(state).argmax()))
     return (

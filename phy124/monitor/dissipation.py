@@ -1,9 +1,8 @@
 """Dissipation: computes how much energy is lost to the material, to walls and to the grid.
 
 Viscous materials dissipate the work of the rate-dependent part of their stress. Plastic and fluid
-materials also dissipate the work of the rate-independent part of their stress, minus the stored
-elastic energy. Walls dissipate energy by friction. All other losses are numerical. Numerical losses
-occur in the transfers between particles and grid, and in the layer of cells at a wall.
+materials also dissipate the work of the other part, minus the stored elastic energy. Walls
+dissipate energy by friction. All other losses are numerical.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -22,9 +21,8 @@ from phy124.mpm.tracks import Tracks
 from phy124.mpm.workers import Part
 
 STAGE = "dissipation"
-"""Name of the stages that sum the work of the stress."""
 STRIDE = 16
-"""Length of each worker's row of sums, chosen so that no two workers write to one cache line."""
+"""Length of each worker's row of sums; no two workers write to one cache line."""
 
 
 class Loss(NamedTuple):
@@ -44,7 +42,7 @@ class Loss(NamedTuple):
 
 
 class Dissipation(Observer):
-    """Sums the work of the stress in every substep."""
+    """Sums the work of the stress."""
 
     in_gathers = True
     kept = ("_sums", "_stress")
@@ -64,12 +62,12 @@ class Dissipation(Observer):
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect | None:
-        """Return the row of the effects report for the work of the stress."""
+        """Return the row of the effects report."""
         why = "checks.energy is off: the causes of energy loss are not distinguished"
         return Effect("work of the stress", cls.called_for(subject), why)
 
     def allocate(self, model: Model, workers: int) -> None:
-        """Allocate an array in which each worker sums the work of the stress in its own row."""
+        """Allocate a row of sums for each worker."""
         shape = (workers, STRIDE)
         self._sums = wp.zeros(shape, dtype=wp.float64, device=model.device)
         self._stress = wp.zeros(len(model), dtype=wp.mat33d, device=model.device)
@@ -79,8 +77,7 @@ class Dissipation(Observer):
     def record(
         self, part: Part, worker: int, model: Model, state: State, tracks: Tracks
     ) -> Recorded:
-        """Record the kernel launch that sums the work of the stress on one CPU worker's particles
-        of one law.
+        """Record the launch that sums the work of the stress on a worker's particles of one law.
 
         Args:
             part: A worker's particles of one law.
@@ -102,8 +99,7 @@ class Dissipation(Observer):
         """Return the energy [J] lost to the material, to the walls and to the grid.
 
         Args:
-            gained: Current energy of the body minus its initial energy, minus the work of all
-                forces and walls [J].
+            gained: Current energy minus initial energy and external work [J].
             rubbed: Energy lost to friction at walls [J].
             stored: Current elastic energy minus the initial elastic energy [J].
         """
@@ -116,27 +112,22 @@ class Dissipation(Observer):
         return Loss(material, rubbed, -gained - material)
 
     def details(self, loss: Loss, change: float, stored: float) -> dict[str, Any]:
-        """Return further terms of the energy balance [J]; none by default.
+        """Return further terms of the energy balance [J].
 
-        Args:
-            loss: Lost energy by cause.
-            change: Change of the energy.
-            stored: Change of the elastic energy.
+        `change` is the change of the energy, and `stored` the change of the elastic energy.
         """
         return {}
 
     def false_gain(self) -> float:
-        """Return the energy [J] that the exchange of momentum between liquid and bodies has
+        """Return the energy [J], never negative, that the coupling of liquid and bodies has
         created.
-
-        The result is never negative.
         """
         return 0.0
 
     def open(self) -> None:
-        """Start to sum the work of the stress, from the current state on."""
+        """Sum the work of the stress from now on."""
 
 
 def split_seconds(timings: Mapping[str, Sequence[float]]) -> float:
-    """Return the time [s] for computing the lost energy, from the times of the substep's stages."""
+    """Return the time [s] for computing the lost energy, from the times of stages."""
     return timings.get(STAGE, (0.0, 0))[0]

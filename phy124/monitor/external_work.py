@@ -1,9 +1,8 @@
 """External work: sums impulse and work of forces and walls on the object in every substep.
 
-Velocities are stored before the forces on particles or the walls act, and compared with the
-velocities afterwards. A constant uniform acceleration `a` contributes the impulse `M a dt` and the
-work `M a . dx`; both are computed without a launch. If the acceleration varies in time, a
-single-thread kernel adds its impulse and work at the end of each substep.
+A constant uniform acceleration `a` contributes the impulse `M a dt` and the work `M a . dx`,
+without a launch. If the acceleration varies in time, a single-thread kernel adds its impulse and
+work at the end of each substep.
 """
 
 from __future__ import annotations
@@ -33,18 +32,16 @@ if TYPE_CHECKING:
     from phy124.liquid import AnySolver
 
 STAGE = "external work"
-"""Name of the stages that sum external work."""
 PUSH, WALL, UNIFORM = "push", "wall", "uniform"
-"""Causes of external work: forces on particles, walls, and a varying uniform acceleration."""
+"""Causes: forces on particles, walls, and a varying uniform acceleration."""
 MEAN_PUSH, MEAN = "mean_push", "mean"
-"""Further causes of external work, for lattices and for liquids with projected pressure: forces on
-points, and walls. The work of these causes is computed with the mean velocities of a step.
+"""Further causes, for lattices and for projected liquids: forces on points, and walls. Their work
+is computed with the mean velocities of a step.
 """
 SOURCES = (PUSH, WALL, UNIFORM, MEAN_PUSH, MEAN)
 ROOM = 16
-"""Length of each worker's array of sums, chosen so that no two workers write to one cache line."""
+"""Length of each worker's array of sums; no two workers write to one cache line."""
 IMPULSES = slice(kernels.IMPULSE, kernels.IMPULSE + 3)
-"""Place of the impulse in an array that contains impulse and work."""
 Sums = NDArray[np.float64]
 
 
@@ -58,12 +55,10 @@ class Exchange(NamedTuple):
     moved: float
     """Sum of the norms of all impulses [N s]."""
     turned: float
-    """Sum of the absolute values of all work [J]."""
+    """Sum of the absolute values of the work [J]."""
 
     def plus(self, sums: Sums) -> Exchange:
-        """Return this impulse and work plus the impulse and work of rigid solids
-        (phy124/kernels/free).
-        """
+        """Return the sum with the impulse and work of rigid solids (phy124/kernels/free)."""
         work, moved, turned = sums[free.WORK :]
         return Exchange(
             self.impulse + sums[:3], self.work + work, self.moved + moved, self.turned + turned
@@ -80,24 +75,21 @@ class ExternalWork(Observer):
 
     @classmethod
     def called_for(cls, subject: Subject) -> bool:
-        """Return whether the balance of energy and momentum is checked."""
+        """Return whether momentum and energy are balanced."""
         return subject.scene.checks.balance
 
     @classmethod
     def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
         """Yield the kernels that measure walls.
 
-        The kernels that measure forces are compiled when they are first needed, which takes 0.3 s.
+        The kernels that measure forces are compiled when needed, in 0.3 s.
         """
         if subject.scene.boundaries:
             yield from (kernels.make_wall_copy(real), kernels.make_wall_sums(real))
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
-        """Return the row of the effects report for the balance of energy and momentum.
-
-        A constant uniform force needs no sums.
-        """
+        """Return the row of the effects report; a constant uniform force needs no sums."""
         scene, why = (
             subject.scene,
             "checks.balance is off: an unstable run is detected only when values become NaN",
@@ -114,42 +106,32 @@ class ExternalWork(Observer):
         return cls(summed=setup.subject.changes)
 
     def __init__(self, *, summed: bool = False) -> None:
-        """Set all sums of impulse and work to zero.
-
-        If `summed` is set, the work of a constant acceleration is also summed in every substep,
+        """If `summed` is set, the work of a constant acceleration is also summed in every substep,
         because forces and boundaries may be replaced during the run.
         """
         self._summed = summed
         self._device: dict[str, wp.array] = {}
-        """Sums [W,ROOM] of each CPU worker since its kernel launches were last recorded, which are
-        not yet part of the totals."""
+        """Sums [W,ROOM] since launches were last recorded, which are not yet part of the totals."""
         self.stored = 0.0
-        """Energy that the object has gained without motion since the start [J]."""
+        """Energy gained without motion since the start [J]."""
         self._closed: dict[str, Sums] = {name: np.zeros(kernels.EXCHANGE) for name in SOURCES}
         self._momentum, self._opened = np.zeros(3), 0.0
-        """Momentum of the object at the start of the frame [kg m/s], without impulses that are not
-        yet part of the totals; and the initial time of the velocities [s].
+        """Momentum at the start of the frame [kg m/s], without impulses that are not yet part of
+        the totals; and the initial time of the velocities [s].
         """
 
     def wrap_forces(self, forces: Sequence[Attachable]) -> list[Attachable]:
-        """Combine all forces to one force that measures the particles before and after the forces
-        act.
-        """
+        """Return one force that measures the particles before and after all forces act."""
         return [Measured(forces, self._attach_push)] if forces else []
 
     def wrap_walls(
         self, walls: Sequence[Boundary], inner: Sequence[Attachable]
     ) -> list[Attachable]:
-        """Combine all walls to one wall that measures the grid nodes before and after the walls
-        act.
-        """
+        """Return one wall that measures the nodes before and after all walls act."""
         return [Measured(inner, partial(self._attach_walls, walls))] if walls else []
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Return the stage at the end of each substep that measures a uniform acceleration.
-
-        There is none if the acceleration is constant.
-        """
+        """Return the stage that measures a varying uniform acceleration, if there is one."""
         self._model, self._tracks = model, tracks
         self._base, self._walls_before = (
             wp.zeros(count, dtype=wp.float64, device=model.device) for count in (3, 6)
@@ -157,15 +139,14 @@ class ExternalWork(Observer):
         return [Stage(STAGE, self._record_uniform)] if self.by_momentum else []
 
     def bind(self, solver: AnySolver, observers: Sequence[Observer] = ()) -> None:
-        """Connect the observer to the solver.
-
-        Solvers of liquids with projected pressure sum the work of walls themselves.
+        """Connect the observer to the solver; solvers of projected liquids sum the work of
+        walls.
         """
         self._liquid: Any = solver if solver.projects else None
         self._read_impulses()
 
     def change(self, scene: Scene) -> None:
-        """From now on, measure the impulse and work of the walls of another scene."""
+        """Measure the walls of another scene from now on."""
         self._read_impulses()
 
     def _read_impulses(self) -> None:
@@ -180,7 +161,7 @@ class ExternalWork(Observer):
         return self._summed or self._tracks.acceleration_varies
 
     def open(self, clock: Clock) -> None:
-        """Start to sum the external impulse and work, from the current state on."""
+        """Sum impulse and work from now on."""
         for name in SOURCES:
             self._closed[name] = np.zeros(kernels.EXCHANGE)
         for sums in self._device.values():
@@ -188,26 +169,22 @@ class ExternalWork(Observer):
         self._opened, self.stored = clock.time - clock.behind, 0.0
 
     def store(self, energy: float) -> None:
-        """Add energy [J] that the object gains without motion, for example by stiffening."""
+        """Add energy [J] gained without motion, such as by stiffening."""
         self.stored += energy
         self._closed[PUSH] = self._closed[PUSH].copy()
         self._closed[PUSH][[kernels.WORK, kernels.TURNED]] += energy, abs(energy)
 
     def begin(self, momentum: Sums) -> None:
-        """Start a frame; the momentum of the object [kg m/s] determines the work of varying
-        forces.
-        """
+        """Start a frame with the momentum of the object [kg m/s]."""
         if self.by_momentum:
             self._momentum = momentum - self._sum()[IMPULSES] - self._from_bodies()
             self._set_base()
 
     def total(self, clock: Clock, way: Sums, momentum: Sums) -> Exchange:
-        """Return the external impulse and the external work since the start of the run.
+        """Return the external impulse and work since the start of the run.
 
-        Args:
-            clock: Clock; its time determines the impulse of a constant acceleration.
-            way: Sum of mass times displacement since the start [3], kg m.
-            momentum: Current momentum of the object [3], kg m/s.
+        `way` is the sum of mass times displacement since the start [3], kg m; `momentum` [3] is in
+        kg m/s.
         """
         total = self._sum()
         values: NDArray[Any] = self._tracks.values.numpy()
@@ -222,17 +199,15 @@ class ExternalWork(Observer):
         return Exchange(total[IMPULSES], work, moved, turned)
 
     def of_walls(self) -> float:
-        """Return the work of the walls since the start [J]; negative for walls at rest."""
+        """Return the work of the walls [J]; negative for walls at rest."""
         return float(self._sum(WALL, MEAN)[kernels.WORK])
 
     def of_grids(self) -> float:
-        """Return the work of the walls on the grids of MPM bodies [J], which is a part of
-        `of_walls`.
-        """
+        """Return the part of `of_walls` for MPM bodies [J]."""
         return float(self._sum(WALL)[kernels.WORK])
 
     def snapshot(self) -> dict[str, Any]:
-        """Return a snapshot of the sums of impulse and work, as plain data."""
+        """Return the sums as plain data."""
         return {
             "closed": {name: sums.tolist() for name, sums in self._closed.items()},
             "open": {name: sums.numpy().tolist() for name, sums in self._device.items()},
@@ -242,7 +217,7 @@ class ExternalWork(Observer):
         }
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Restore the sums of impulse and work from a snapshot."""
+        """Restore the sums."""
         self._closed = {name: np.array(sums) for name, sums in snapshot["closed"].items()}
         for name, sums in snapshot["open"].items():
             open_sums = np.array(sums) if sums else np.zeros((0, ROOM))
@@ -256,7 +231,7 @@ class ExternalWork(Observer):
         self.stored = snapshot.get("stored", 0.0)
 
     def _sum(self, *names: str) -> Sums:
-        """Return the impulse and the work of all causes, or of the named causes."""
+        """Return the sums of the named causes; none: all."""
         total = np.zeros(kernels.EXCHANGE)
         for name in names or SOURCES:
             total += self._closed[name]
@@ -265,16 +240,12 @@ class ExternalWork(Observer):
         return total
 
     def _open(self, name: str) -> Sums:
-        """Return the impulse and work that all CPU workers have summed since launches were last
-        recorded.
-        """
+        """Return the sums of all workers since launches were last recorded."""
         rows: NDArray[Any] = self._device[name].numpy()
         return rows[:, : kernels.EXCHANGE].sum(axis=0)
 
     def _accumulator(self, name: str, grid: Grid) -> wp.array:
-        """Return the array to which one kernel launch adds, so that no two CPU threads use one
-        array.
-        """
+        """Return the array of one worker; no two CPU threads use one array."""
         if grid.worker == 0:
             if name in self._device:
                 self._closed[name] = self._closed[name] + self._open(name)
@@ -285,7 +256,6 @@ class ExternalWork(Observer):
         return wp.zeros((workers, ROOM), dtype=wp.float64, device=self._model.device)
 
     def _record_uniform(self, grid: Grid) -> wp.Launch | None:
-        """Record the kernel launch that adds the impulse and work of the uniform acceleration."""
         model, tracks, sums = self._model, self._tracks, self._accumulator(UNIFORM, grid)
         self._set_base()
         names = (PUSH, WALL, MEAN_PUSH, MEAN)
@@ -296,9 +266,7 @@ class ExternalWork(Observer):
         return model.launch(kernel, 1, inputs, [self._walls_before, sums])
 
     def _set_base(self) -> None:
-        """Store the momentum at the time when the sums were set to zero, and the impulse of the
-        walls since then.
-        """
+        """Store the momentum when the sums were set to zero, and the walls' impulse since then."""
         self._base.assign(self._momentum + sum(sums[IMPULSES] for sums in self._closed.values()))
         before = [
             sum(self._open(name)[IMPULSES] for name in names if name in self._device)
@@ -308,23 +276,19 @@ class ExternalWork(Observer):
         self._walls_before.assign(np.concatenate([np.zeros(3) + part for part in before]))
 
     def _rows_of_bodies(self) -> list[wp.array]:
-        """Return three arrays: the impulses of freely moving solids, the impulses of pairs of
-        bodies, and the signs of the pairs.
-
-        The arrays are empty unless the solver computes work with mean velocities.
+        """Return impulses of freely moving solids, impulses of pairs of bodies, and signs of the
+        pairs.
         """
         return [self._zeros(0), self._zeros(0), wp.zeros(0, wp.float64, device=self._model.device)]
 
     def _from_bodies(self) -> Sums:
-        """Return the impulse [3] of freely moving solids and fixed bodies since the start, N s."""
+        """Return the impulse [3] of freely moving solids and fixed bodies, N s."""
         return np.zeros(3)
 
     def _attach_push(
         self, stages: Sequence[Stage], model: Model, state: State
     ) -> tuple[Stage, Stage]:
-        """Return two stages that measure particles: before the forces in `stages`, and after
-        them.
-        """
+        """Return the stages before and after the forces act."""
         keeps_C = all(stage.keeps_C for stage in stages)
         copied = [wp.empty_like(state.v), wp.empty_like(state.C[:0] if keeps_C else state.C)]
         copy = kernels.make_push_copy(model.real, keeps_C)
@@ -356,7 +320,7 @@ class ExternalWork(Observer):
     def _attach_walls(
         self, walls: Sequence[Boundary], stages: Sequence[Stage], model: Model, state: State
     ) -> tuple[Stage, Stage]:
-        """Return two stages that measure grid nodes: before the walls' `stages`, and after them."""
+        """Return the stages before and after the walls act."""
         near, kernel = NodesNear(walls, model), kernels.make_wall_sums(model.real)
 
         def after(grid: Grid) -> wp.Launch | None:
@@ -367,29 +331,27 @@ class ExternalWork(Observer):
 
 
 class MeanWork(ExternalWork):
-    """Reads the external work from solvers that sum the work of walls and forces themselves.
+    """Reads the external work from solvers that sum the work of walls and forces.
 
-    The projected pressure of a liquid and the clamps of lattices counteract a force within the same
-    step. All work is therefore computed with the mean velocities of the step.
+    Projected pressure and the clamps of lattices counteract a force within the same step. All work
+    is therefore computed with the mean velocities of the step.
     """
 
     @classmethod
     def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
-        """Yield nothing, because the solver measures the walls without further kernels."""
+        """Yield nothing; the solver measures the walls."""
         yield from ()
 
     def wrap_walls(self, walls: Sequence[Boundary], inner: Sequence[Attachable]) -> Any:
-        """Return the walls unchanged, because the solver sums their work itself."""
+        """Return the walls unchanged; the solver sums their work."""
         return inner
 
     def wrap_forces(self, forces: Sequence[Attachable]) -> list[Attachable]:
-        """Return the forces unchanged, because the solver sums their work itself."""
+        """Return the forces unchanged; the solver sums their work."""
         return list(forces)
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
-        """Connect the observer to the solver, and let the solver sum the impulse and work of
-        forces.
-        """
+        """Connect the observer to the solver, which then sums the impulse and work of forces."""
         super().bind(solver, observers)
         sums = wp.zeros((len(solver.workers), ROOM), dtype=wp.float64, device=solver.model.device)
         self._device[MEAN_PUSH] = sums

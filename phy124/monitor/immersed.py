@@ -1,8 +1,4 @@
-"""Observers of runs with bodies on lattices in a liquid with projected pressure.
-
-The kernel of the contact between a body and a wall sums the wall's impulse
-(phy124/monitor/lattice.py). The liquid sums the impulses of walls on the liquid.
-"""
+"""Observers of runs with bodies on lattices in a liquid with projected pressure."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -21,19 +17,14 @@ from phy124.monitor.pool_work import PoolWork
 from phy124.scene import Scene
 
 BODIES = MEAN_PUSH
-"""Cause of external work: walls that act on lattices. The work of forces on the points of a lattice
-is counted under the cause `PUSH`."""
+"""Cause: walls that act on lattices. Forces on points of lattices are counted under `PUSH`."""
 
 
 class ImmersedWork(PoolWork, MeanWork):
-    """Computes the external impulse and work on lattices and liquid from the solver's sums for
-    walls.
-    """
+    """External impulse and work on lattices and liquid, from the solver's sums."""
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
-        """Connect the observer to the solver, which sums the impulses of walls on liquid and
-        lattices.
-        """
+        """Connect the observer to the solver, which sums the impulses of walls."""
         self._solver = self._liquid = solver
         counts = [len(each.workers) for each in (solver.lattice, solver.liquid)]
         sums = wp.zeros((sum(counts), ROOM), dtype=wp.float64, device=solver.model.device)
@@ -43,9 +34,7 @@ class ImmersedWork(PoolWork, MeanWork):
         self.follow_steps(solver)
 
     def change(self, scene: Scene) -> None:
-        """Keep the impulses of the previous walls, and from now on also sum those of the new
-        walls.
-        """
+        """Keep the impulses of the previous walls; also sum those of the new walls."""
         self._closed[BODIES] = self._closed[BODIES] + self._open(BODIES)
         self._read_impulses()
 
@@ -55,16 +44,12 @@ class ImmersedWork(PoolWork, MeanWork):
         self._solver.record()
 
     def of_walls(self) -> float:
-        """Return the work of all walls since the start of the run [J]; it is negative for walls at
-        rest.
-        """
+        """Return the work of all walls [J]; negative for walls at rest."""
         return super().of_walls() + float(self._sum(BODIES)[WORK])
 
 
 class ImmersedWrenches(LatticeWrenches):
-    """Computes wrenches (forces and torques) on walls from the impulses on lattices and on the
-    liquid.
-    """
+    """Wrenches (forces and torques) on walls, from the impulses on lattices and liquid."""
 
     def _now(self) -> NDArray[np.float64]:
         rows, impulses = super()._now(), self._solver.impulses
@@ -77,11 +62,11 @@ class ImmersedWrenches(LatticeWrenches):
 
 
 class ImmersedPairs(CoupledPairs):
-    """Adds a row to the effects report that lists the bodies on lattices."""
+    """Lists the bodies on lattices in the effects report."""
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
-        """Return the row of the effects report before a run."""
+        """Return the row of the effects report."""
         scene = subject.scene
         bodies, solver = ", ".join(elastic_names(scene)), scene.resolution.solver
         return Effect(f"rest lattices (accuracy.solver = {solver}) for {bodies}, in the liquid")

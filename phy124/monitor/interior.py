@@ -1,10 +1,8 @@
-"""Interior: adds Gaussians inside elastic material; they become visible if the material tears.
+"""Interior: adds Gaussians inside elastic material, which become visible if the material tears.
 
-Generators place Gaussians only on the surface of an object, so a torn object would show a hole. If
-material tears, inner particles that have lost a neighbour get round Gaussians in the colours of the
-surface, like grains. It is not known in advance which particles will be exposed, so these Gaussians
-are added to the finished clip. Until its particle is exposed, such a Gaussian is hidden in the
-surface Gaussian above it.
+Generators place Gaussians only on the surface, so a torn object would show a hole. Inner particles
+that have lost a neighbour get round Gaussians in the colours of the surface. The Gaussians are
+added to the finished clip, because exposed particles are not known in advance.
 """
 
 from __future__ import annotations
@@ -36,12 +34,12 @@ if TYPE_CHECKING:
     from phy124.liquid import AnySolver
 
 NEIGHBOURS = 7
-"""Number of particles at rest that are examined for each particle: itself and six neighbours."""
+"""Number of particles that are examined for each particle: itself and six neighbours."""
 Opened = dict[str, NDArray]
 
 
 class Interior(Observer):
-    """The observer that finds which inner particles are exposed because material is torn."""
+    """Finds the inner particles that tears expose."""
 
     def __init__(
         self,
@@ -56,7 +54,7 @@ class Interior(Observer):
         """Store the object at rest; everything else is computed only if material tears.
 
         Args:
-            shown: All N other visible Gaussians.
+            shown: All other visible Gaussians.
             particles: The particles that move.
             materials: The materials of the particles; only elastic materials can be torn.
             spacing: Distance between neighbouring particles at rest [m].
@@ -68,8 +66,7 @@ class Interior(Observer):
         self._real: Any = wp.float32
         self._uploaded: tuple[wp.array, wp.array, wp.array] | None = None
         self._opened: dict[int, Opened] = {}
-        """The particles that a tear exposes, and their positions, for each frame with torn
-        material."""
+        """Exposed particles and their positions, for each frame with torn material."""
 
     @classmethod
     def called_for(cls, subject: Subject) -> bool:
@@ -78,7 +75,7 @@ class Interior(Observer):
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
-        """Return the row of the effects report for the interior."""
+        """Return the row of the effects report."""
         grains = subject.scene.grains
         why = "no elastic material could be torn" if grains else "grains is off"
         return Effect("inside of torn material", subject.elastic and grains, why)
@@ -91,20 +88,18 @@ class Interior(Observer):
         return cls(setup.shown, setup.particles, materials, **sizes)
 
     def bind(self, solver: AnySolver, observers: Sequence[Observer] = ()) -> None:
-        """Connect the observer to the solver's state, and to the observer that detects tears."""
+        """Connect the observer to the solver, and to the observer that detects tears."""
         self._state, self._tearing = solver.state, find(observers, Tearing)
         self._real = solver.model.real
 
     def after_frame(self, frame: Frame) -> Frame:
-        """Find the particles that a tear exposes, if a tear is likely; return the frame
-        unchanged.
-        """
+        """Find exposed particles if a tear is likely; return the frame unchanged."""
         if self._keep and self._tearing is not None and self._tearing.likely:
             self.look(frame.index, self._state.x)
         return frame
 
     def look(self, index: int, x: wp.array) -> None:
-        """Find the particles that a tear exposes in a frame, from the positions x [P,3], m."""
+        """Find the particles exposed in a frame, from the positions x [P,3], m."""
         lost = self._find_lost(x)
         # Gaps are wider than a particle, so the second layer of particles is also visible.
         alone = np.zeros(len(x), bool)
@@ -114,7 +109,7 @@ class Interior(Observer):
         self._opened[index] = {"ids": ids, "x": here.astype(np.float32)}
 
     def _find_lost(self, x: wp.array) -> NDArray[np.bool_]:
-        """Return a mask of the inner particles from which a neighbour has moved too far away.
+        """Return a mask of the inner particles that have lost a neighbour.
 
         The kernel is compiled at first use, because most runs do not need it.
         """
@@ -133,9 +128,7 @@ class Interior(Observer):
         return np.asarray(lost.numpy(), bool)
 
     def complete(self, clip: Clip) -> Clip:
-        """Return the clip with an additional Gaussian for each particle that a tear exposes in any
-        frame.
-        """
+        """Return the clip with a Gaussian for each exposed particle."""
         exposed = self._list_exposed(len(clip))
         if exposed is None:
             return clip
@@ -150,11 +143,9 @@ class Interior(Observer):
         return clip if motion is None else clip.with_motion(replace(motion, exposed=exposed))
 
     def _list_exposed(self, count: int) -> Exposed | None:
-        """Return the particles that a tear exposes in any of `count` frames; None if there are
-        none.
+        """Return the particles exposed in `count` frames, or None.
 
-        A frame in which nothing has moved is not examined, and has the same exposed particles as
-        the frame before.
+        A skipped frame has the same exposed particles as the frame before.
         """
         latest: Opened = {"ids": np.zeros(0, int), "x": np.zeros((0, 3), np.float32)}
         frames = [latest := self._opened.get(index, latest) for index in range(count)]
@@ -169,18 +160,16 @@ class Interior(Observer):
         return Exposed(grains, above.astype(np.int32), *listed)
 
     def snapshot(self) -> dict[str, Any]:
-        """Return a snapshot of the particles that tears have exposed in all frames so far."""
+        """Return the exposed particles of all frames."""
         return {str(index): dict(opened) for index, opened in self._opened.items()}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Restore the particles that tears have exposed from a snapshot."""
+        """Restore the exposed particles."""
         self._opened = {int(index): opened for index, opened in snapshot.items()}
 
     @cached_property
     def _objects(self) -> list[tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]]:
-        """For each object: its Gaussians, the particles that a tear may expose, and the neighbours
-        of these particles.
-        """
+        """For each object: Gaussians, particles that a tear may expose, and their neighbours."""
         rest = self._rest
         elastic = np.array([s.device_law.project is None for s in self._materials])[rest.material]
         free = elastic & (rest.gaussian < 0)
@@ -194,25 +183,18 @@ class Interior(Observer):
 
     @cached_property
     def _inside(self) -> NDArray[np.intp]:
-        """Indices of the particles that a tear may expose, object by object [I]."""
+        """Particles that a tear may expose, object by object [I]."""
         return np.concatenate([inside for _, inside, _ in self._objects])
 
     @cached_property
     def _neighbours(self) -> NDArray[np.intp]:
-        """Indices of the neighbours at rest of each particle that a tear may expose [I,7]."""
+        """Neighbours of these particles at rest [I,7]."""
         return np.concatenate([neighbours for *_, neighbours in self._objects])
 
     def _prepare_object(
         self, gaussians: NDArray[np.intp], particles: NDArray[np.intp], free: NDArray[np.bool_]
     ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Return the particles of an object that a tear may expose, and the neighbours of each
-        particle.
-
-        Args:
-            gaussians: Indices of the Gaussians of an object.
-            particles: Indices of the object's particles.
-            free: Mask of the object's particles that may have a grain.
-        """
+        """Return the particles that a tear may expose, and their neighbours."""
         x = self._rest.x[particles]
         candidates = np.flatnonzero(free)
         inside = candidates[leave_room(self._surface(gaussians), x[candidates], self._spacing)]
@@ -225,9 +207,7 @@ class Interior(Observer):
         return particles[inside], particles[near]
 
     def _make_grains(self, ids: NDArray[np.int64]) -> tuple[NDArray[np.intp], Gaussians]:
-        """Return the surface Gaussian nearest to each exposed particle, and a new Gaussian for the
-        particle.
-        """
+        """Return the nearest surface Gaussian and the new Gaussian of each exposed particle."""
         above, grains, first = [], [], 0
         for gaussians, inside, _ in self._objects:
             chosen = ids[(ids >= first) & (ids < first + len(inside))] - first
@@ -239,13 +219,11 @@ class Interior(Observer):
         return np.concatenate(above), join(grains)
 
     def _surface(self, gaussians: NDArray[np.intp]) -> Gaussians:
-        """Return the Gaussians of an object at rest."""
         every = len(gaussians) == len(self._shown)
         return self._shown if every else self._shown.select(gaussians)
 
 
 def _add_exposed(clip: Clip, exposed: Exposed) -> dict[str, Any]:
-    """Return the arrays of all frames, with the Gaussians of exposed particles added."""
     above, count = exposed.above, len(exposed.above)
     names = ("means", "quats", "scales", "rotations", "velocities")
     known = {name: array for name in names if (array := getattr(clip, name)) is not None}

@@ -1,7 +1,7 @@
 """Observers of bodies on lattices: momentum, energy, and the impulse and work of walls.
 
-The kernel of the contact with a wall sums the wall's impulse, moment and work
-(phy124/kernels/lattice/contact.py), so nothing has to be copied before and after walls act.
+The kernel of the contact with a wall sums impulse, moment and work
+(phy124/kernels/lattice/contact.py).
 """
 
 from __future__ import annotations
@@ -40,14 +40,11 @@ if TYPE_CHECKING:
 
 
 class LatticeTotals(Totals):
-    """Sums momentum and kinetic energy over the nodes of lattices, and all else over their
-    points.
-    """
+    """Momentum and kinetic energy of nodes; all other sums of points."""
 
     on_lattice = True
 
     def __init__(self, solver: LatticeSolver) -> None:
-        """Record the kernel launches that compute the sums."""
         self._crew = solver.crew
         super().__init__(solver.model, solver.state)
         model, nodes = solver.model, solver.nodes_state
@@ -57,15 +54,12 @@ class LatticeTotals(Totals):
         self._launch = model.launch(kernel, len(nodes.u), inputs, [self._of_nodes])
 
     def _sum(self, group: Group, outputs: list[wp.array]) -> list[wp.Launch | None]:
-        """Record the kernel launches that sum over the points of one group of points."""
         if self._crew.vectors(group):
             return self._crew.totals(group, outputs)
         return super()._sum(group, outputs)
 
     def read(self, clock: Clock) -> Diagnostics:
-        """Move the lattices' points with their nodes, then return the diagnostics of the current
-        state.
-        """
+        """Return the diagnostics; first move the points with their nodes."""
         points = super().read(clock)
         self._of_nodes.zero_()
         if self._launch is not None:
@@ -81,21 +75,18 @@ class LatticeTotals(Totals):
 
 
 class LatticeWatchdog(Watchdog):
-    """Checks a run of bodies that are simulated on lattices."""
+    """Checks a run of bodies on lattices."""
 
     @classmethod
     def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
-        """Yield nothing, because the kernels of lattices also compute the sums."""
+        """Yield nothing; the kernels of lattices compute the sums."""
         yield from ()
 
     def totals_of(self, solver: Any) -> Totals:
-        """Return the sums of momentum and energy over the nodes and points of the solver's
-        lattices.
-        """
+        """Return the sums over nodes and points."""
         return LatticeTotals(solver)
 
     def _energy(self) -> dict[str, Any]:
-        """Return the lost energy [J] by cause, and the largest supplied energy [J]."""
         divided = self._dissipation
         if not isinstance(divided, LatticeDissipation):
             return super()._energy()
@@ -104,21 +95,18 @@ class LatticeWatchdog(Watchdog):
 
 
 class LatticeWork(MeanWork):
-    """Computes the external impulse and work from the solver's sums for walls and for forces.
+    """External impulse and work from the solver's sums.
 
     If there are other forces, the work of a constant acceleration is also summed in every substep.
-    The product of acceleration and displacement would not be suitable, since positions are known
-    half a substep later than velocities. In a test with a wind against gravity and two substeps per
-    frame, the error of this product was 32 % of the energy.
+    Positions are known half a substep later than velocities; the error of acceleration times
+    displacement was 32 % of the energy in a wind against gravity.
     """
 
     _solver: Any = None
 
     @classmethod
     def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
-        """Yield the kernel that sums the work of a uniform acceleration, if the scene needs this
-        sum.
-        """
+        """Yield the kernel for the work of a uniform acceleration, if needed."""
         if _sums_uniform_work(subject):
             yield make_uniform_sums(real)
 
@@ -128,31 +116,23 @@ class LatticeWork(MeanWork):
         return cls(summed=_sums_uniform_work(setup.subject))
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
-        """Connect the observer to the solver, whose walls store the sums of impulse and work."""
+        """Connect the observer to the solver, whose walls store the sums."""
         self._solver = solver
         self._device[MEAN] = solver.walls.sums
         super().bind(solver, observers)
 
     def change(self, scene: Scene) -> None:
-        """Keep the impulses of the previous walls, and from now on also sum those of the new
-        walls.
-        """
+        """Keep the impulses of the previous walls; also sum those of the new walls."""
         self._closed[MEAN] = self._closed[MEAN] + self._open(MEAN)
         self._device[MEAN] = self._solver.walls.sums
         self._solver.record()
 
     def _rows_of_bodies(self) -> list[wp.array]:
-        """Return the impulses of freely moving solids and of pairs of bodies, and the signs of the
-        pairs.
-        """
         if self._solver is None:
             return super()._rows_of_bodies()
         return [self._solver.free.rows(), *self._solver.pairs.rows()]
 
     def _from_bodies(self) -> NDArray[np.float64]:
-        """Return the impulse [3] of freely moving solids and fixed bodies since the start of the
-        run, N s.
-        """
         if self._solver is None:
             return super()._from_bodies()
         impulse: NDArray[np.float64] = self._solver.free.impulses()[:3]
@@ -167,34 +147,34 @@ def _sums_uniform_work(subject: Subject) -> bool:
 
 
 class LatticeWrenches(Wrenches):
-    """Computes wrenches (forces and torques) on walls and between bodies from the solver's sums."""
+    """Wrenches (forces and torques) on walls and between bodies, from the solver's sums."""
 
     @classmethod
     def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
-        """Yield nothing, because the solver measures the walls without further kernels."""
+        """Yield nothing; the solver measures the walls."""
         yield from ()
 
     @property
     def walls(self) -> tuple[str, ...]:
-        """Names of the simple walls, in the order of the scene."""
+        """Names of the simple walls."""
         return self._names if self._of_walls else ()
 
     def wrap_walls(self, walls: Sequence[Boundary], inner: Sequence[Attachable]) -> Any:
-        """Return the walls unchanged, and store the names of the walls."""
+        """Return the walls unchanged; store their names."""
         self._names = tuple(simple_wall_names(walls))
         return inner
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
-        """Connect the observer to the solver, whose walls store the sums of impulses."""
+        """Connect the observer to the solver, whose walls store the sums."""
         super().bind(solver, observers)
         self._before = self._now()
 
     def before_attempt(self, *, closely: bool = False) -> None:
-        """Store the sums of the walls' impulses at the start of the frame."""
+        """Store the impulses at the start of the frame."""
         self._before = self._now()
 
     def of_wall(self, wall: str, centre: NDArray, fps: float) -> Wrench:
-        """Return the mean wrench (force and torque) on a wall since the start of the frame."""
+        """Return the mean force and torque on a wall since the start of the frame."""
         row = (self._before - self._now())[self._names.index(wall)]
         impulse, moment = row[:3], row[MOMENT : MOMENT + 3]
         return Wrench(fps * impulse, fps * (moment - np.cross(centre, impulse)))
@@ -208,9 +188,7 @@ class LatticeWrenches(Wrenches):
 
 
 class LatticeContacts(Contacts):
-    """Computes the force of walls on each Gaussian from the impulses on points and clamped
-    nodes.
-    """
+    """Force of walls on each Gaussian, from the impulses on points and clamped nodes."""
 
     in_substeps = False
 
@@ -222,34 +200,29 @@ class LatticeContacts(Contacts):
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
-        """Return the row of the effects report for contact forces.
-
-        Its cost is zero, because measuring them costs less than the contact itself.
-        """
+        """Return the row of the effects report; the cost is less than that of the contact."""
         return super().effect(subject)._replace(cost=Cost())
 
     def wrap_walls(self, walls: Sequence[Boundary], inner: Sequence[Attachable]) -> Any:
-        """Return the walls unchanged, because the solver sums their impulses itself."""
+        """Return the walls unchanged; the solver sums their impulses."""
         return inner
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
-        """Start to sum the impulses of the solver's walls."""
+        """Sum the impulses of the solver's walls from now on."""
         self._solver = solver
         solver.walls.keep_impulses()
         solver.record()
 
     def change(self, scene: Scene) -> None:
-        """Start to sum the impulses of the new walls."""
+        """Sum the impulses of the new walls from now on."""
         self.bind(self._solver)
 
     def before_attempt(self, *, closely: bool = False) -> None:
-        """Set the sums of the walls' impulses to zero."""
+        """Set the sums of impulses to zero."""
         self._solver.walls.impulses.sums.zero_()
 
     def find_nearest(self, setup: Observed) -> NDArray[np.int64]:
-        """Return, for each surface point and node, the nearest Gaussian of the same object
-        [S+N].
-        """
+        """Return the nearest Gaussian of the same object for each surface point and node [S+N]."""
         surface, lattice = self._solver.surface, self._solver.lattice
         x = np.concatenate([surface.x, lattice.x])
         body = np.concatenate([surface.body, lattice.body])
@@ -265,19 +238,17 @@ class LatticeContacts(Contacts):
         return nearest
 
     def read_impulses(self, setup: Observed) -> NDArray[np.float64]:
-        """Return the impulse on each surface point, followed by the impulse on each node [S+N,3], N
-        s.
-        """
+        """Return the impulse on each surface point and then on each node [S+N,3], N s."""
         sums: NDArray[np.float64] = self._solver.walls.impulses.sums.numpy()
         return sums
 
 
 class LatticeMethod(Observer):
-    """Adds a row to the effects report about the solver and the effects that it omits."""
+    """Adds a row about the solver to the effects report."""
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
-        """Return the row of the effects report before a run."""
+        """Return the row of the effects report."""
         solver = subject.scene.resolution.solver
         return Effect(
             f"rest lattice (accuracy.solver = {solver}): no transfers, no tearing, no sorting"
@@ -285,7 +256,7 @@ class LatticeMethod(Observer):
 
 
 class LatticeShock(Observer):
-    """Adds a row to the effects report for artificial viscosity, which resists fast compression."""
+    """Adds a row about artificial viscosity in fast compression to the effects report."""
 
     NAME = "artificial viscosity in fast compression"
 
@@ -295,10 +266,7 @@ class LatticeShock(Observer):
         return Effect(f"{cls.NAME}, if material is compressed nearly as fast as sound")
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
-        """Connect the observer to the clock of the lattices.
-
-        This clock counts the substeps with artificial viscosity.
-        """
+        """Connect the observer to the clock of the lattices."""
         self._clock = getattr(solver.lattice, "clock", solver.clock)
 
     def finished_effect(self, subject: Subject) -> Effect:
@@ -309,7 +277,7 @@ class LatticeShock(Observer):
 
 
 class LatticePairs(Observer):
-    """Adds a row to the effects report for contact between bodies."""
+    """Adds a row about contact between bodies to the effects report."""
 
     @classmethod
     def called_for(cls, subject: Subject) -> bool:
@@ -329,11 +297,10 @@ class LatticePairs(Observer):
 
 
 class LatticeSelfContact(Observer):
-    """Adds a row to the effects report for contact of a body with itself."""
+    """Adds a row about contact of a body with itself to the effects report."""
 
     LOOKING = Cost(fixed=40e3)
-    """Cost of the search for parts of an object that are near each other, for an object with 50,000
-    points."""
+    """Cost of the search for close parts of an object with 50,000 points."""
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:

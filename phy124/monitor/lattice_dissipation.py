@@ -1,8 +1,7 @@
 """LatticeDissipation: reports how much energy bodies on lattices lose to each cause.
 
-The solver sums the work of each cause in every substep (phy124/lattice/energies.py). The work of
-all causes adds up to the change of the kinetic energy, except for rounding errors; the report shows
-the difference.
+The work of all causes adds up to the change of the kinetic energy, except for rounding errors,
+which the report shows.
 """
 
 from collections.abc import Iterator
@@ -25,20 +24,17 @@ class LatticeDissipation(LiquidDissipation):
 
     @classmethod
     def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
-        """Yield the kernels that sum the work on lattices by cause."""
+        """Yield the kernels that sum the work by cause."""
         yield from (make_node_work(real), make_contact_work(real))
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
-        """Return, for each cause, the row of the effects report that shows its work."""
+        """Return the row of the effects report."""
         why = "checks.energy is off: the causes of energy loss are not distinguished"
         return Effect("work of forces, stress and contact", cls.called_for(subject), why)
 
     def divide(self, first: Diagnostics, last: Diagnostics) -> dict[str, float]:
-        """Return the energy section of the report [J]: losses, changes of energy, work of each
-        cause.
-
-        The values are computed from the diagnostics of two states.
+        """Return losses, changes of energy, and work of each cause [J].
 
         All values refer to the time of the velocities, half a substep before that of the positions.
         """

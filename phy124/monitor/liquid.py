@@ -1,7 +1,6 @@
 """LiquidDissipation: reports how much energy a liquid with projected pressure loses to each cause.
 
-The solver sums the work of each cause in every step (phy124/liquid/energies.py). The remaining loss
-occurs in the transfers between particles and faces.
+The remaining loss occurs in the transfers between particles and faces.
 """
 
 from collections.abc import Iterator, Sequence
@@ -30,32 +29,29 @@ class LiquidDissipation(Dissipation):
 
     @classmethod
     def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
-        """Yield the kernels that sum the work on the liquid by cause."""
+        """Yield the kernels that sum the work by cause."""
         yield from energy_kernels(real)
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect | None:
-        """Return the row of the effects report for the work on the liquid; None without liquid."""
+        """Return the row of the effects report; None without liquid."""
         why = "checks.energy is off: the causes of energy loss are not distinguished"
         name = "work on the liquid by cause"
         return Effect(name, cls.called_for(subject), why) if subject.scene.projects else None
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
-        """Connect the observer to the solver, and let the solver sum work from its first step
-        on.
-        """
+        """Connect the observer to the solver, which then sums work."""
         self._energies, self._external = solver.energies, find(observers, ExternalWork)
         solver.keep_works()
 
     def open(self) -> None:
-        """Start to sum the work on the liquid, from the current state on."""
+        """Sum the work from now on."""
         self._energies.clear()
 
     def loss(self, gained: float, rubbed: float, stored: float) -> Loss:
         """Return the energy [J] lost to viscosity, to friction at walls, and to numerical errors.
 
-        `gained` refers to the liquid, `rubbed` is the negative work of walls (with friction), and
-        `stored` is zero.
+        `rubbed` is the negative work of walls (with friction), and `stored` is zero.
         """
         works = self._energies.read()
         lost = rubbed + works.walls - gained
@@ -65,9 +61,8 @@ class LiquidDissipation(Dissipation):
         return Loss(viscous, friction, lost - viscous - friction)
 
     def details(self, loss: Loss, change: float, stored: float) -> dict[str, Any]:
-        """Return the work [J] of each cause, and the parts of the numerical loss.
-
-        This work changed the kinetic energy by `change`.
+        """Return the work [J] of each cause, and the parts of the numerical loss; `change` is that
+        of the kinetic energy.
         """
         works = self._energies.read()
         return {

@@ -1,7 +1,4 @@
-"""Adds stages to a substep that measure the effect of forces and boundaries.
-
-Velocities are copied before a force or wall acts, and compared with the velocities afterwards.
-"""
+"""Adds stages to a substep that measure the effect of forces and boundaries."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -18,7 +15,7 @@ from phy124.mpm.tracks import Tracks
 
 
 class Measured:
-    """Combines several forces or boundaries, and adds stages that measure their joint effect."""
+    """Several forces or boundaries, with stages that measure their joint effect."""
 
     def __init__(
         self,
@@ -28,8 +25,8 @@ class Measured:
         self._inner, self._measure = inner, measure
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Return the stages of a substep: a first measurement, the forces or boundaries, and the
-        measurements after them.
+        """Return a first measurement, the stages of the forces or boundaries, and further
+        measurements.
         """
         stages = [stage for item in self._inner for stage in item.attach(model, state, tracks)]
         if not stages:
@@ -41,22 +38,20 @@ class Measured:
 class NodesNear:
     """The grid nodes that the measured walls may change.
 
-    Call `fit` when the range of nodes that the grid stores has changed.
+    Call `fit` when the stored range of nodes has changed.
     """
 
     def __init__(self, walls: Sequence[Boundary], model: Model) -> None:
         self._corners, self._model = _reach(walls, model), model
         self.threads: tuple[int, ...] = ()
-        """Number of threads along each axis for a kernel that processes the rows of these nodes in
-        segments."""
+        """Threads along each axis for a kernel over segments of rows of these nodes."""
         self.read: list[Any] = []
-        """First inputs of a kernel that runs over these segments of rows: segment length, box of
-        nodes, the grid's stored range of nodes, and the nodes."""
+        """First inputs of such a kernel: segment length, box of nodes, stored range, and nodes."""
         self.copy: wp.array | None = None
-        """Memory for a copy of the nodes in the box."""
+        """Copy of the nodes in the box."""
 
     def fit(self, grid: Grid) -> None:
-        """Determine the nodes in the range of nodes that the grid currently stores."""
+        """Find the nodes in the stored range."""
         start, extent = grid.nodes_within(*self._corners)
         corners = np.stack([start, extent]).astype(np.int32)
         box = wp.array(corners, dtype=wp.vec3i, device=self._model.device)
@@ -65,14 +60,14 @@ class NodesNear:
         self.read = [each, box, grid.window, grid.nodes]
 
     def record_copy(self, grid: Grid) -> wp.Launch | None:
-        """Call `fit`, and record the kernel launch that copies the nodes."""
+        """Call `fit`, and record the launch that copies the nodes."""
         self.fit(grid)
         kernel = make_wall_copy(self._model.real)
         return self._model.launch(kernel, self.threads, self.read, [self.copy])
 
 
 def _reach(walls: Sequence[Boundary], model: Model) -> Corners:
-    """Return the corners of a box around every grid node that one of the walls may change [m]."""
+    """Return the corners of a box around all nodes that the walls may change [m]."""
     lower, upper = np.full(3, np.inf), np.full(3, -np.inf)
     for wall in walls:
         corners, track = wall.bounds(model), wall.track(model)

@@ -1,10 +1,7 @@
 """Observer: measures or checks a run, from its first kernel launch to its report.
 
-`phy124.monitor.OBSERVERS` lists all classes. `observers_of` creates only the observers that a scene
-requires; all other observers cost no time and no memory. For each of its observers, in the order of
-the list, a run calls the methods that compile kernels, bind, measure, pause, resume and report. By
-default, an observer keeps its solver and does nothing else, so a new observer overrides only the
-methods that it needs.
+`phy124.monitor.OBSERVERS` lists all classes. By default, an observer keeps its solver and does
+nothing else, so a new observer overrides only the methods that it needs.
 """
 
 from __future__ import annotations
@@ -33,16 +30,14 @@ if TYPE_CHECKING:
 
 
 class Cost(NamedTuple):
-    """Cost of an effect on one core [ns per substep], as measured in docs/lab/benchmarks.md."""
+    """Cost on one core [ns per substep], as measured in docs/lab/benchmarks.md."""
 
     fixed: float = 0.0
     particle: float = 0.0
-    """Cost per particle."""
     node: float = 0.0
-    """Cost per stored grid node."""
 
     def of(self, particles: int, nodes: int) -> float:
-        """Return the cost of the effect per substep [ns]."""
+        """Return the cost per substep [ns]."""
         return self.fixed + self.particle * particles + self.node * nodes
 
 
@@ -50,42 +45,40 @@ UNKNOWN = Cost()
 
 
 class Effect(NamedTuple):
-    """A row of the effects report: an effect, and whether the scene includes the effect."""
+    """A row of the effects report."""
 
     name: str
     called_for: bool = True
     why: str = ""
-    """Reason why the effect is omitted; empty if the effect is included."""
+    """Reason why the effect is omitted, or empty."""
     cost: Cost = UNKNOWN
-    """Cost of the effect, if the scene includes the effect."""
 
 
 class Violation(NamedTuple):
     """An error in a frame, with possible causes."""
 
     what: str
-    """Description of the error, as a clause."""
     causes: tuple[str, ...]
-    """Possible causes, likeliest first, for which `phy124.budget.remedies` suggests remedies."""
+    """Possible causes, likeliest first, for `phy124.budget.remedies`."""
 
 
 class Subject(NamedTuple):
-    """The properties of a run that decide which observers the run needs."""
+    """The properties that decide which observers a run needs."""
 
     scene: Scene
     materials: Sequence[AnyMaterial]
-    """Materials of the particles, from the scene or from its properties file."""
+    """Materials of the particles, from the scene or its properties file."""
     changes: bool = False
     """Whether forces, boundaries and stiffness may change during the run."""
 
     @property
     def laws(self) -> list[Law]:
-        """The laws of the materials, without duplicates."""
+        """Laws without duplicates."""
         return list({m.device_law.name: m.device_law for m in self.materials}.values())
 
     @property
     def elastic(self) -> bool:
-        """Whether any material is elastic, that is, has no return mapping."""
+        """Whether any material has no return mapping."""
         return any(law.project is None for law in self.laws)
 
 
@@ -99,7 +92,7 @@ class Observed(Protocol):
 
     @property
     def subject(self) -> Subject:
-        """The properties of the run that decide which observers it needs."""
+        """The properties that decide which observers the run needs."""
         ...
 
     @property
@@ -127,13 +120,13 @@ class Observer(Kept):
     """Observes one run; the base class observes nothing."""
 
     absent: ClassVar[dict[str, Any]] = {}
-    """The section that the report contains if a run does not have this observer."""
+    """Section of the report without this observer."""
     in_substeps: ClassVar[bool] = False
-    """Whether the observer updates sums in each substep. A rejected substep restores the observer's
-    sums."""
+    """Whether sums are updated in each substep; a rejected substep restores them."""
     in_gathers: ClassVar[bool] = False
-    """Whether the observer records a kernel launch after each gather (the transfer from grid to
-    particles). A rejected frame restores the observer's sums."""
+    """Whether a launch follows each gather (the transfer from grid to particles); a rejected frame
+    restores the sums.
+    """
 
     @classmethod
     def called_for(cls, subject: Subject) -> bool:
@@ -142,17 +135,17 @@ class Observer(Kept):
 
     @classmethod
     def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
-        """Yield the kernels to compile before the run, in the precision `real`."""
+        """Yield the kernels to compile before the run."""
         yield from ()
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect | None:
-        """Return the row of the effects report before a run; None if there is no row."""
+        """Return the row of the effects report before a run, or None."""
         return None
 
     @classmethod
     def of(cls, setup: Observed) -> Self:
-        """Create the observer of a run; the run's solver does not exist yet."""
+        """Return the observer of a run; the solver does not exist yet."""
         return cls()
 
     def wrap_forces(self, forces: Sequence[Attachable]) -> Sequence[Attachable]:
@@ -164,26 +157,21 @@ class Observer(Kept):
     ) -> Sequence[Attachable]:
         """Return the boundaries, with stages that measure them.
 
-        `inner` contains the `walls`, changed by earlier observers.
+        `inner` are the `walls` after changes by earlier observers.
         """
         return inner
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Return the stages that the observer adds at the end of each substep (if
-        `in_substeps`).
-        """
+        """Return the stages at the end of each substep (if `in_substeps`)."""
         return []
 
     def allocate(self, model: Model, workers: int) -> None:
-        """Allocate one set of sums for each of the CPU workers (if `in_gathers`)."""
+        """Allocate sums for each worker (if `in_gathers`)."""
 
     def record(
         self, part: Part, worker: int, model: Model, state: State, tracks: Tracks
     ) -> Recorded:
-        """Record the kernel launch that follows each transfer from the grid to a worker's
-        particles.
-
-        The method is called if `in_gathers` is set.
+        """Record the launch after each transfer to a worker's particles (if `in_gathers`).
 
         Args:
             part: A worker's particles of one law.
@@ -195,36 +183,29 @@ class Observer(Kept):
         raise NotImplementedError
 
     def bind(self, solver: AnySolver, observers: Sequence[Observer]) -> None:
-        """Connect the observer to the solver, and to the other observers whose results it reads."""
+        """Connect the observer to the solver and to other observers."""
         self._solver: Any = solver
 
     def change(self, scene: Scene) -> None:
         """Continue with the forces, boundaries and stiffness of another scene."""
 
     def skip_to(self, index: int) -> float | None:
-        """Return the time [s] of the frame if the frame needs no substeps, otherwise None."""
+        """Return the time [s] of a frame without substeps, otherwise None."""
 
     def before_frame(self, time: float) -> None:
         """Prepare the frame that starts at `time` [s]."""
 
     def before_attempt(self, *, closely: bool) -> None:
-        """Prepare an attempt to compute a frame.
-
-        If `closely` is set, each substep will be checked.
-
-        After a failure, the next attempt halves the substeps.
-        """
+        """Prepare an attempt to compute a frame; if `closely` is set, each substep is checked."""
 
     def after_substep(self) -> None:
-        """Read the state after a substep, or after several substeps in a CUDA graph."""
+        """Read the state after a substep, or after several in a CUDA graph."""
 
     def after_attempt(self) -> Violation | None:
-        """Check the state at the end of a frame; return the error, which ends the attempt, or
-        None.
-        """
+        """Check the state at the end of a frame; an error ends the attempt."""
 
     def after_frame(self, frame: Frame) -> Frame:
-        """Return the frame of the moving Gaussians with this observer's results."""
+        """Return the frame with this observer's results."""
         return frame
 
     def complete(self, clip: Clip) -> Clip:
@@ -248,17 +229,17 @@ Kind = TypeVar("Kind", bound=Observer)
 
 
 def find(observers: Iterable[Observer], kind: type[Kind]) -> Kind | None:
-    """Return the observer of a class, or None if the scene does not require it."""
+    """Return the observer of a class, or None."""
     return next((observer for observer in observers if isinstance(observer, kind)), None)
 
 
 def snapshots(observers: Iterable[Observer]) -> dict[str, Any]:
-    """Return the snapshots of the observers, keyed by class name."""
+    """Return the snapshots by class name."""
     return {type(observer).__name__: observer.snapshot() for observer in observers}
 
 
 def restore_all(observers: Iterable[Observer], snapshot: dict[str, Any]) -> None:
-    """Restore observers from their snapshots; observers without a snapshot are not changed."""
+    """Restore the observers that have a snapshot."""
     for observer in observers:
         if type(observer).__name__ in snapshot:
             observer.restore(snapshot[type(observer).__name__])

@@ -1,10 +1,8 @@
 """PoolDissipation: reports how much energy a liquid and the bodies in it lose to each cause.
 
-The liquid sums the work of each cause on the liquid (phy124/liquid/energies.py). The work of the
-liquid's pressure on each body is summed at the body (phy124/liquid/exchange.py). The energy that
-the pressure takes from the liquid and from walls should equal the energy that the bodies receive.
-The difference is the loss by the pressure equation; a negative loss is energy that the coupling
-created.
+The energy that the pressure takes from the liquid and from walls should equal the energy that the
+bodies receive. The difference is the loss by the pressure equation; a negative loss is energy that
+the coupling created.
 """
 
 from __future__ import annotations
@@ -32,51 +30,47 @@ if TYPE_CHECKING:
 
 
 class PoolDissipation(LiquidDissipation):
-    """Divides the energy loss of a liquid and of freely moving solids in the liquid by cause."""
+    """Energy losses by cause of a liquid and of freely moving solids in the liquid."""
 
     kept = ("_energies", "_begun", "_others")
 
     _omits_shifts = True
-    """Whether the work of a varying acceleration omits the displacements that restore the liquid's
-    density."""
+    """Whether the work of a varying acceleration omits the displacements that restore the
+    density.
+    """
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
-        """Connect the observer to the solver, and let the solver sum work from its first step
-        on.
-        """
+        """Connect the observer to the solver, which then sums work."""
         self._solver, self._external = solver, find(observers, ExternalWork)
         self._energies = self._liquid(solver).energies
         solver.keep_works()
         self._begun, self._others = self._sum_exchange(), self._of_solids(every=True)
 
     def _liquid(self, solver: Any) -> Any:
-        """Return the solver of the liquid."""
         return solver
 
     def open(self) -> None:
-        """Start to sum the work from the current state on."""
+        """Sum the work from now on."""
         super().open()
         self._begun, self._others = self._sum_exchange(), self._of_solids(every=True)
 
     def exchange(self) -> dict[str, float]:
-        """Return the work [J] of the liquid's pressure on each solid and body since the start."""
+        """Return the work [J] of the liquid's pressure on each solid and body."""
         works = (self._sum_exchange() - self._begun).tolist()
         return dict(zip(self._names(), works, strict=True))
 
     def false_gain(self) -> float:
         """Return the energy [J] that the exchange between liquid and bodies has created.
 
-        Where a light body rises, the displacements that restore the density fill its wake. The work
-        on the body then comes from the potential energy that these displacements take from the
-        liquid.
+        Where a light body rises, displacements that restore the density fill its wake. This takes
+        the work on the body from the liquid's potential energy.
         """
         projection = self._projection()
         return max(0.0, min(-projection, -projection - self._energies.read().density))
 
     def loss(self, gained: float, rubbed: float, stored: float) -> Loss:
-        """Return the energy [J] lost to the materials, to contact, and to numerical errors.
-
-        The arguments are those of `Dissipation.loss`, for liquid and bodies together.
+        """Return the energy [J] lost to the materials, to contact, and to numerical errors, for
+        liquid and bodies together.
         """
         works, bodies = self._energies.read(), self._of_bodies(stored)
         lost = rubbed + works.walls + bodies["walls"] - gained
@@ -111,29 +105,21 @@ class PoolDissipation(LiquidDissipation):
         }
 
     def _projection(self) -> float:
-        """Return the energy [J] lost in the pressure equation and in the coupling of liquid and
-        bodies.
-        """
+        """Return the energy [J] lost in the pressure equation and in the coupling."""
         return 0.0 - self._energies.read().projection - sum(self.exchange().values())
 
     def _of_bodies(self, stored: float) -> dict[str, float]:
-        """Return the work of moving walls on the bodies in the liquid, and the bodies' losses by
-        cause [J].
-        """
+        """Return the work of moving walls on the bodies, and the bodies' losses by cause [J]."""
         return {"walls": 0.0, "material": 0.0, "contact": 0.0}
 
     def _names(self) -> list[str]:
-        """Return the names of the freely moving solids and of the bodies."""
         return [solid.name for solid in self._solver.free.all]
 
     def _sum_exchange(self) -> NDArray[np.float64]:
-        """Return the work [J] of the liquid on each solid and body."""
         return self._of_solids(every=False)
 
     def _of_solids(self, *, every: bool) -> NDArray[np.float64]:
-        """Return the work [J] on each freely moving solid by liquids or, if `every` is set, by all
-        causes.
-        """
+        """Return the work [J] on each freely moving solid by liquids, or by all causes."""
         if not self._solver.free.all:
             return np.zeros(0)
         wet = sorted(self._solver.model.wet) or [0]
@@ -142,7 +128,7 @@ class PoolDissipation(LiquidDissipation):
 
 
 class MixedDissipation(PoolDissipation):
-    """Divides the energy loss of a liquid and of particle bodies by cause."""
+    """Energy losses by cause of a liquid and of particle bodies."""
 
     kept = (*PoolDissipation.kept, "_stress")
 
@@ -151,25 +137,23 @@ class MixedDissipation(PoolDissipation):
     _omits_shifts = False
 
     def __init__(self) -> None:
-        """Prepare the sums of the work that the stress in the bodies does."""
         super().__init__()
         self._stress = Dissipation()
 
     @classmethod
     def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
-        """Yield the kernels that sum the work on the liquid and in the bodies."""
+        """Yield the kernels that sum the work on liquid and bodies."""
         yield from energy_kernels(real)
         yield from Dissipation.kernels(without_liquids(subject), real)
 
     def allocate(self, model: Model, workers: int) -> None:
-        """Allocate the sums of the work that the stress in the bodies does."""
+        """Allocate the sums of the work of the stress."""
         self._stress.allocate(model, workers)
 
     def record(
         self, part: Part, worker: int, model: Model, state: State, tracks: Tracks
     ) -> Recorded:
-        """Record the kernel launch that sums the work of the stress on a worker's particles of one
-        law.
+        """Record the launch that sums the work of the stress on a worker's particles of one law.
 
         Args:
             part: A worker's particles of one law.
@@ -195,10 +179,7 @@ class MixedDissipation(PoolDissipation):
         return solver.liquid
 
     def _of_bodies(self, stored: float) -> dict[str, float]:
-        """Return the losses of the bodies in the liquid.
-
-        If walls move, the work of the walls on the bodies includes friction.
-        """
+        """If walls move, their work on the bodies includes friction."""
         assert self._external is not None
         work = self._external.of_grids()
         walls, contact = (work, 0.0) if self._driven else (0.0, 0.0 - work)
@@ -213,7 +194,7 @@ class MixedDissipation(PoolDissipation):
 
 
 class ImmersedDissipation(PoolDissipation):
-    """Divides the energy loss of a liquid and of bodies on lattices by cause."""
+    """Energy losses by cause of a liquid and of bodies on lattices."""
 
     kept = (*PoolDissipation.kept, "_lattice")
 
@@ -221,14 +202,12 @@ class ImmersedDissipation(PoolDissipation):
 
     @classmethod
     def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
-        """Yield the kernels that sum the work on liquid and bodies by cause."""
+        """Yield the kernels that sum the work by cause."""
         yield from super().kernels(subject, real)
         yield from (make_node_work(real), make_contact_work(real))
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
-        """Connect the observer to the solver; let liquid and lattices sum work from their first
-        step on.
-        """
+        """Connect the observer to the solver, which then sums work."""
         super().bind(solver, observers)
         self._lattice = solver.lattice.energies
 
@@ -236,7 +215,7 @@ class ImmersedDissipation(PoolDissipation):
         return solver.liquid
 
     def open(self) -> None:
-        """Start to sum the work from the current state on."""
+        """Sum the work from now on."""
         super().open()
         self._lattice.clear()
 
@@ -257,6 +236,6 @@ class ImmersedDissipation(PoolDissipation):
 
 
 def without_liquids(subject: Subject) -> Subject:
-    """Return the properties of the run, without the materials that are liquids."""
+    """Return the properties of the run without liquids."""
     solid = [section for section in subject.materials if section.device_law.name != "fluid"]
     return subject._replace(materials=solid)

@@ -1,8 +1,8 @@
 """PoolWork: sums the work of a uniform acceleration on a liquid and on the bodies in the liquid.
 
-During a step of the liquid, the bodies take many substeps. The impulse of walls on the liquid is
-known only at the end of the step. A sum over substeps would therefore count the weight of the
-liquid as if nothing carried the liquid. The work is summed once per step of the liquid instead.
+The impulse of walls on the liquid is known only at the end of a step, so a sum over substeps would
+count the weight of the liquid as if nothing carried it. The work is summed once per step of the
+liquid.
 """
 
 from collections.abc import Sequence
@@ -19,7 +19,7 @@ from phy124.mpm.tracks import Tracks
 
 
 class PoolMotion(NamedTuple):
-    """The motion of the liquid and of the bodies in it, after a step of the liquid."""
+    """Motion of the liquid and the bodies after a step of the liquid."""
 
     momentum: NDArray[np.float64]
     """Momentum of the liquid after the step [3], kg m/s."""
@@ -32,34 +32,32 @@ class PoolMotion(NamedTuple):
 
 
 class PoolWork(ExternalWork):
-    """Sums the external impulse and work on a liquid and on the bodies in the liquid."""
+    """External impulse and work on a liquid and the bodies in it."""
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Return no stages, because impulse and work are summed after steps of the liquid, not in
-        substeps.
-        """
+        """Return no stages; impulse and work are summed after steps of the liquid."""
         super().attach(model, state, tracks)
         return []
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
-        """Connect the observer to the solver; after each step of the liquid, measure the motion."""
+        """Connect the observer to the solver, and follow its steps."""
         super().bind(solver, observers)
         self.follow_steps(solver)
 
     def follow_steps(self, solver: Any) -> None:
-        """From now on, sum impulse and work after each step of the liquid."""
+        """Sum impulse and work after each step of the liquid from now on."""
         self._pool = solver
         solver.liquid.follower = self._add_step
 
     def begin(self, momentum: NDArray[np.float64]) -> None:
-        """Start a frame: measure the motion of the liquid and of the bodies in it."""
+        """Start a frame: measure the motion."""
         if self.by_momentum:
             self._before = self._measure()
 
     def total(
         self, clock: Clock, way: NDArray[np.float64], momentum: NDArray[np.float64]
     ) -> Exchange:
-        """Return the external impulse and work since the start of the run, as in `ExternalWork`."""
+        """Return the external impulse and work (`ExternalWork.total`)."""
         total = super().total(clock, way, momentum)
         if not self.by_momentum:
             return total
@@ -69,10 +67,8 @@ class PoolWork(ExternalWork):
         return total._replace(impulse=total.impulse - late)
 
     def _add_step(self) -> None:
-        """Add the external impulse and work of one step of the liquid.
-
-        For a constant acceleration, the work is the product of acceleration and displacement, as in
-        runs without changes.
+        """Add impulse and work of one step; for a constant acceleration, the work is acceleration
+        times displacement.
         """
         if not self.by_momentum:
             return
@@ -94,13 +90,12 @@ class PoolWork(ExternalWork):
         self._closed[UNIFORM], self._before = sums, now
 
     def _measure(self) -> PoolMotion:
-        """Measure the motion of the liquid and of the bodies in it."""
         liquid, bodies = self._pool.liquid, self._pool.bodies.motions()
         wet = self._pool.clock.wet()
         dry = sum((body.mass * body.centre for body in bodies), np.zeros(3))
         return PoolMotion(wet.momentum, wet.mass * wet.centre, dry, liquid.clock.pull)
 
     def _acceleration(self) -> NDArray[np.float64]:
-        """Return the uniform acceleration [3] of the bodies in the last substep, m/s^2."""
+        """Return the uniform acceleration [3] in the last substep, m/s^2."""
         values: NDArray[Any] = self._tracks.values.numpy()
         return values[0, :3].astype(np.float64)

@@ -3,16 +3,12 @@
 A body with zero speed need not be at rest: a thrown body has zero speed at the top of its path. An
 object counts as at rest if, for Q frames of T seconds, no particle has moved further than D from
 its starting point. Under a constant acceleration, a particle can then move by at most `7 D m (1 +
-m)` in the next `M = m Q` frames. In the worst case, a particle first moved by D to one side of its
-starting point and turned. The particle is now at the distance D on the other side, moving away. In
-addition, a vibration in phase with the frames can hide a displacement of `v T / (2 pi)`, where v is
-the largest speed of the vibration.
+m)` in the next `M = m Q` frames. In addition, a vibration in phase with the frames can hide a
+displacement of `v T / (2 pi)`, where v is the largest speed of the vibration.
 
-The object sleeps if two conditions hold: the sum of both displacements is invisible, and the
-object's speed does not grow. The object wakes when a force or boundary of the scene changes. Under
-gravity, an object sleeps only if it has also moved much less than a free body would. Without this
-condition, in a clip with many frames per second, an object at the top of its path would count as at
-rest.
+The object sleeps if the sum of both displacements is invisible and the speed does not grow. Under
+gravity, the object must also have moved much less than a free body would. Otherwise, in a clip with
+many frames per second, an object at the top of its path would count as at rest.
 """
 
 from __future__ import annotations
@@ -36,12 +32,13 @@ if TYPE_CHECKING:
     from phy124.liquid import AnySolver
 
 STILL = 3e-4
-"""Largest error due to sleep, relative to the object's size; 0.1 pixels in an object of 300
-pixels."""
+"""Largest error due to sleep, relative to the object's size: 0.1 pixels in an object of 300
+pixels.
+"""
 CALM = 1 / 6
-"""Particles count as at rest if they have moved less than this fraction of `STILL`."""
+"""Largest motion of particles at rest, as a fraction of `STILL`."""
 HELD = 0.1
-"""A body counts as supported if it moves less than this fraction of a free fall."""
+"""Largest motion of a supported body, as a fraction of a free fall."""
 
 
 class Sleep(Observer):
@@ -51,37 +48,28 @@ class Sleep(Observer):
     kept = ("anchor", "drift", "speeds", "since", "skipped", "saved", "_last")
 
     def __init__(self, *, size: float, frames: int, fps: float) -> None:
-        """Start with all objects awake, so that no frame is skipped.
-
-        Args:
-            size: Size of the smallest object [m].
-            frames: Number of frames of the clip.
-            fps: Frames per second of simulated time.
-        """
         self._frames, self._fps = frames, fps
         self._stiffness_changes = False
         self._far = STILL * size
         self.anchor: NDArray[np.float64] | None = None
-        """Positions of the particles [P,3], m, from which the drift is measured."""
+        """Positions [P,3], m, from which the drift is measured."""
         self.drift = 0.0
-        """Largest distance of a particle from its position in `anchor` [m]."""
+        """Largest distance of a particle from `anchor` [m]."""
         self.speeds: list[float] = []
         """Largest speed in each frame since `anchor` was set [m/s]."""
         self._fastest, self._last, self._before = 0.0, 0, 0
         self.since: int | None = None
-        """Index of the first skipped frame; None if there is none."""
         self.skipped = self.saved = 0
-        """Number of skipped frames, and number of substeps that this saved. The number of substeps
-        is estimated from the last computed frame."""
+        """Number of skipped frames, and estimated number of saved substeps."""
 
     @classmethod
     def called_for(cls, subject: Subject) -> bool:
-        """Return whether the scene allows frames to be skipped while all objects are at rest."""
+        """Return whether frames may be skipped."""
         return subject.scene.time.sleep
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
-        """Return the row of the effects report for sleep."""
+        """Return the row of the effects report."""
         sleeps = subject.scene.time.sleep
         why = "the object was never at rest long enough" if sleeps else "time.sleep is off"
         return Effect("sleep while all objects rest", sleeps, why)
@@ -95,18 +83,17 @@ class Sleep(Observer):
         return sleep
 
     def bind(self, solver: AnySolver, observers: Sequence[Observer] = ()) -> None:
-        """Connect the observer to the solver.
-
-        The solver's tracks (values over time) show when forces and boundaries change.
-        """
+        """Connect the observer to the solver."""
         self._solver, self._state, self._clock = solver, solver.state, solver.clock
 
     def change(self, scene: Scene) -> None:
-        """Disable sleep if the stiffness of the scene changes in time."""
+        """Disable sleep if the stiffness changes in time."""
         self._stiffness_changes = scene.stiffness_profile is not None
 
     def skip_to(self, index: int) -> float | None:
-        """If the frame needs no substeps, count it and return its time [s]; else return None."""
+        """Return the time [s] of a frame that needs no substeps, and count the frame; otherwise
+        None.
+        """
         flying = self._solver.outliers.count or self._solver.free.all
         if index == 0 or self._stiffness_changes or flying or not self._rests(index):
             return None
@@ -120,18 +107,18 @@ class Sleep(Observer):
         self._before = self._clock.substeps
 
     def after_substep(self) -> None:
-        """Update the speed of the fastest particle, including rotation."""
+        """Update the largest speed, including rotation."""
         extremes, dx = self._clock.recent, self._solver.model.dx
         self._fastest = max(self._fastest, extremes.speed, extremes.gradient * dx)
 
     def after_frame(self, frame: Frame) -> Frame:
-        """Measure the displacement of the particles; return the frame unchanged."""
+        """Measure displacements; return the frame unchanged."""
         if frame.index > 0:
             self.observe(frame.index, self._clock.substeps - self._before)
         return frame
 
     def observe(self, index: int, substeps: int) -> None:
-        """Measure the displacement of the particles after a frame that took `substeps` substeps."""
+        """Measure displacements after a frame of `substeps` substeps."""
         self.after_substep()
         speed, self._fastest, self._last = self._fastest, 0.0, substeps
         changed = self._quiet_until((index - 1) / self._fps) < index / self._fps
@@ -153,7 +140,7 @@ class Sleep(Observer):
         return {"sleep": sleep}
 
     def finished_effect(self, subject: Subject) -> Effect:
-        """Return the row of the effects report, with the start and the duration of sleep."""
+        """Return the row of the effects report, with start and duration of sleep."""
         row = self.effect(subject)
         if self.since is None:
             return row._replace(called_for=False)
@@ -161,7 +148,7 @@ class Sleep(Observer):
         return row._replace(name=f"{row.name}: asleep from frame {self.since}, {saved}")
 
     def _rests(self, index: int) -> bool:
-        """Return whether the image stays constant until the next change of a force or boundary."""
+        """Return whether the image stays constant until a force or boundary changes."""
         if not self.speeds:
             return False
         until = self._quiet_until((index - 1) / self._fps)
@@ -175,39 +162,30 @@ class Sleep(Observer):
         return reach + self._hidden(max(self.speeds)) <= self._far
 
     def _hidden(self, speed: float) -> float:
-        """Return the amplitude [m] of a vibration with this speed [m/s] and one period per
-        frame.
-        """
+        """Return the amplitude [m] of a vibration with a speed [m/s] and one period per frame."""
         return speed / self._fps / (2 * math.pi)
 
     def _pins_material(self) -> bool:
-        """Return whether something holds the material in place against the acceleration `a`, such
-        as gravity [m/s^2].
-
-        Material that nothing holds would move by `a t^2 / 8`.
+        """Return whether something holds the material against the acceleration `a`; free material
+        would move by `a t^2 / 8`.
         """
         pull: NDArray[Any] = self._solver.tracks.values.numpy()
         way = float(np.linalg.norm(pull[0, :3])) * (len(self.speeds) / self._fps) ** 2 / 8
         return way == 0 or self.drift <= HELD * way
 
     def _grows(self) -> bool:
-        """Return whether the motion was fastest in the last frame, as when an object begins to
-        topple.
-        """
+        """Return whether the last frame was the fastest, as when an object begins to topple."""
         *before, latest = self.speeds
         return latest > max(before, default=0.0)
 
     def _quiet_until(self, time: float) -> float:
-        """Return the time [s] until which all forces and boundaries remain as at `time` [s]."""
+        """Return the time [s] until which all forces and boundaries stay constant."""
         return min(next_change(track, time) for track in self._solver.tracks.tracks)
 
 
 def next_change(track: Track, time: float) -> float:
-    """Return the next time at which a track (a value over time) changes [s].
-
-    If the value is changing at `time`, the result is `time`.
-
-    If the track never changes again, the result is infinity.
+    """Return the next time [s] at which a track changes: `time` during a change, infinity if there
+    is no further change.
     """
     edges = [edge for edge in (track.start, track.end) if time <= edge < FOREVER]
     keys = [(track.origin + at, value) for at, value in track.keys]

@@ -1,8 +1,8 @@
 """Softening: changes Young's modulus over time, frame by frame.
 
-In the solver's arrays, the factor multiplies those parameters of a law that are proportional to E
-(`Material.scaled`). The resulting change of the elastic energy counts as external work, since the
-energy of a bent body increases when it stiffens.
+The factor multiplies the parameters of a law that are proportional to E (`Material.scaled`). The
+resulting change of the elastic energy counts as external work, since the energy of a bent body
+increases when it stiffens.
 """
 
 from __future__ import annotations
@@ -26,20 +26,16 @@ if TYPE_CHECKING:
 
 
 class Softening(Observer):
-    """Multiplies Young's moduli of a run by a factor that changes in time."""
+    """Multiplies Young's moduli by a factor that changes in time."""
 
     def __init__(self, scene: Scene, material: NDArray) -> None:
-        """Start with the factor 1 on Young's modulus.
-
-        `material` [P] is the index of each particle's material.
-        """
+        """`material` [P] is the index of each particle's material."""
         self._scene, self._material = scene, material
         self.factor = 1.0
-        """The current factor on Young's modulus of all materials."""
 
     @classmethod
     def called_for(cls, subject: Subject) -> bool:
-        """Return whether the stiffness changes in time, or may be changed during the run."""
+        """Return whether the stiffness may change."""
         return subject.changes or subject.scene.stiffness_profile is not None
 
     @classmethod
@@ -48,7 +44,7 @@ class Softening(Observer):
         return cls(setup.scene, setup.particles.material)
 
     def bind(self, solver: AnySolver, observers: Sequence[Observer] = ()) -> None:
-        """Store the parameters of all materials for the factor 1 on Young's modulus."""
+        """Store the parameters for the factor 1."""
         self._solver, self._external = solver, find(observers, ExternalWork)
         model = solver.model
         scaled = np.array([section.scaled for section in model.materials])[self._material]
@@ -59,17 +55,15 @@ class Softening(Observer):
             self._groups.append((group, theta, np.arange(group.law.width) < columns[:, None]))
 
     def change(self, scene: Scene) -> None:
-        """Use the stiffness of another scene from the next frame on."""
+        """Use the stiffness of another scene from now on."""
         self._scene = scene
 
     def before_frame(self, time: float) -> None:
-        """Set the factor on Young's modulus for the frame that starts at `time` [s]."""
+        """Set the factor for the frame that starts at `time` [s]."""
         self.follow(self._scene.softness(time))
 
     def follow(self, factor: float) -> None:
-        """Set the factor on Young's modulus; add the resulting change of energy to the external
-        work.
-        """
+        """Set the factor; add the change of energy to the external work."""
         if factor == self.factor:
             return
         before = diagnose(self._solver).elastic
@@ -80,7 +74,7 @@ class Softening(Observer):
         self._solver.clock.expire()
 
     def notes(self) -> list[str]:
-        """Return a note if the stiffness varies with a period that is shorter than two frames."""
+        """Return a note if the stiffness has a period shorter than two frames."""
         profile, fps = self._scene.stiffness_profile, self._scene.time.fps
         if profile is None or not 0 < profile.period < 2 / fps:
             return []
@@ -91,14 +85,11 @@ class Softening(Observer):
         ]
 
     def snapshot(self) -> dict[str, Any]:
-        """Return a snapshot of the factor on Young's modulus."""
+        """Return the factor."""
         return {"factor": self.factor}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Set the factor on Young's modulus.
-
-        Its work is not counted, because the restored state includes this work.
-        """
+        """Set the factor; the restored state includes its work."""
         self._multiply(snapshot["factor"])
 
     def _multiply(self, factor: float) -> None:

@@ -1,14 +1,11 @@
 """Tearing: detects numerical fracture of material whose constitutive law does not fracture.
 
-The grid stores no connectivity: particles interact only through common nodes. If stretching moves
-particles more than about a cell apart, they have no common nodes, and the material separates. A bar
-under tension tears when the mean spacing of its particles is about one cell; its most stretched
-regions then reach `APART` (docs/design/stability.md). A finer grid does not help, since it resolves
-sharper corners, which are stretched more. More particles per cell help.
+Particles interact only through common nodes. If stretching moves particles more than about a cell
+apart, the material separates (docs/design/stability.md). A finer grid does not help, since it
+resolves sharper corners, which are stretched more. More particles per cell help.
 
-There are two checks: for particles stretched by `APART` or more, and for pieces that have
-separated. Stretched particles indicate a possible tear, but not in thin stems; separated pieces
-prove a tear.
+Particles stretched by `APART` or more indicate a possible tear, but not in thin stems; separated
+pieces prove a tear.
 """
 
 from __future__ import annotations
@@ -31,35 +28,29 @@ if TYPE_CHECKING:
     from phy124.liquid import AnySolver
 
 APART = 1.2
-"""Material may separate if the distance between neighbouring particles exceeds this value [cells].
-"""
+"""Distance of neighbouring particles above which material may separate [cells]."""
 MANY, FEW = 5e-3, 3
 """A tear is likely if the number of particles that are farther apart than `APART` exceeds both
 `FEW` and `MANY` P^(2/3), where P is the number of particles. P^(2/3) is about the number of
-particles in a cross-section. At the corners of a body, a few particles always separate.
+particles in a cross-section.
 
-In tests, ducks were pressed, dropped and bounced. Every duck stayed whole if fewer than 5.2e-3
-P^(2/3) particles were farther apart than `APART`. With 6.7e-3 P^(2/3) particles farther apart than
-`APART`, a duck lost its head. With 7.9e-3 P^(2/3) of these particles, another duck stayed whole.
+Every duck in tests stayed whole with fewer than 5.2e-3 P^(2/3) of these particles. With 6.7e-3
+P^(2/3), a duck lost its head; with 7.9e-3 P^(2/3), another duck stayed whole.
 """
 REACH = 1.5
-"""Reach of a particle's B-spline [cells]. A wider layer without particles separates two pieces of
-material."""
+"""Reach of a particle's B-spline [cells]; a wider empty layer separates two pieces."""
 LOOSE = 2e-3
-"""Smallest fraction of all elastic particles in a piece of material that counts as separated."""
+"""Smallest fraction of all elastic particles in a separated piece."""
 FLAKE = 8
-"""Smallest number of particles in a piece of material that counts as separated."""
+"""Smallest number of particles in a separated piece."""
 ALONE = 1.0
-"""A particle has no neighbours if the distance between particles at rest is larger than this
-[cells]."""
+"""Distance of particles at rest above which particles have no neighbours [cells]."""
 STURDY = 1e9
-"""Stretch limit that no particle reaches. A particle with this limit is excluded from the check."""
+"""Stretch limit of particles that are not checked."""
 FAR = 4096
-"""Number of cubes of space along an axis above which empty space is removed before pieces of
-material are labelled."""
+"""Number of cubes along an axis above which empty space is removed before labelling."""
 MOST = 50_000_000
-"""Largest number of cubes of space in which pieces are searched. If the particles are scattered
-over more cubes, pieces are not determined."""
+"""Largest number of cubes; with more cubes, pieces are not determined."""
 REMEDY = (
     "A larger accuracy.particles_per_axis, binding = particles, a stiffer material, more "
     "material.damping or a gentler motion helps; a finer grid does not."
@@ -67,10 +58,7 @@ REMEDY = (
 
 
 class Tearing(Observer):
-    """Checks after each frame whether particles of elastic materials have been stretched apart.
-
-    Material with a return mapping (plastic or fluid) may separate and join, so it is not checked.
-    """
+    """Checks after each frame whether elastic materials have been torn."""
 
     absent: ClassVar[dict[str, Any]] = {
         "balance": {"tearing": {"apart": 0, "stretch": 1.0, "loose": 0, "likely": False}}
@@ -79,12 +67,11 @@ class Tearing(Observer):
 
     def __init__(self) -> None:
         self.count, self.first, self.stretch = 0, 0, 1.0
-        """Largest number of particles per frame that are farther apart than `APART`, lowest index
-        of such a particle, and largest stretch.
+        """Largest number of particles in a frame that are farther apart than `APART`, lowest index,
+        and largest stretch.
         """
         self.loose = 0
-        """Largest number of particles per frame that were separated from their piece of material.
-        """
+        """Largest number of separated particles in a frame."""
 
     @classmethod
     def called_for(cls, subject: Subject) -> bool:
@@ -93,20 +80,18 @@ class Tearing(Observer):
 
     @classmethod
     def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
-        """Yield the kernel that measures the stretch of the particles."""
+        """Yield the kernel that measures the stretch."""
         yield make_apart(real)
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
-        """Return the row of the effects report for the detection of tears."""
+        """Return the row of the effects report."""
         why = "all moving materials flow, so they may separate and merge"
         name = "search for torn material and separate pieces in each frame"
         return Effect(name, subject.elastic, why)
 
     def bind(self, solver: AnySolver, observers: Sequence[Observer] = ()) -> None:
-        """Select the elastic particles, and label the pieces of material to which they belong at
-        rest.
-        """
+        """Select the elastic particles, and label their pieces at rest."""
         self._model, self._state = solver.model, solver.state
         model = solver.model
         self._elastic = [group for group in model.groups if group.law.project is None]
@@ -117,8 +102,7 @@ class Tearing(Observer):
         # A particle that is alone in a cell at rest has no neighbours from which it could separate.
         stretch = np.where(spacing < ALONE, APART / spacing, STURDY)
         self._most = wp.array(stretch**2, dtype=model.real, device=model.device)
-        """Square of the stretch above which each particle is farther than `APART` from its
-        neighbours [P]."""
+        """Square of the stretch above which each particle is too far from its neighbours [P]."""
         self._counts = wp.zeros(2, dtype=int, device=model.device)
         self._max_stretch = wp.zeros(1, dtype=model.real, device=model.device)
         self._launches = []
@@ -130,7 +114,6 @@ class Tearing(Observer):
         self._pieces = Pieces(model.rest[self._chosen], REACH * model.dx, self._bodies())
 
     def _bodies(self) -> NDArray[np.int64] | None:
-        """Return the body index of each checked particle; None if there is only one body."""
         model = self._model
         if model.bodies == 1:
             return None
@@ -146,9 +129,7 @@ class Tearing(Observer):
 
     @property
     def likely(self) -> bool:
-        """Whether a piece of material has separated, or may have, because particles are far
-        apart.
-        """
+        """Whether a piece of material has separated, or may have separated."""
         return self.torn or self.count > max(FEW, MANY * len(self._model) ** (2 / 3))
 
     def after_attempt(self) -> None:
@@ -186,32 +167,31 @@ class Tearing(Observer):
 
     @property
     def briefly(self) -> str:
-        """The note about torn material, shortened to a clause."""
+        """The note as a clause."""
         if self.torn:
             return "the grid tears the material"
         return f"the material is stretched {self.stretch:.1f} times and the grid may tear it"
 
     def report(self, frames: Sequence[Frame] = ()) -> dict[str, Any]:
-        """Return the section of this observer in the report."""
+        """Return this observer's section of the report."""
         tearing = {"apart": self.count, "stretch": self.stretch, "loose": self.loose}
         return {"balance": {"tearing": {**tearing, "likely": self.likely}}}
 
 
 class Pieces:
-    """The pieces of material: groups of particles that are connected at rest.
+    """Groups of particles that are connected at rest.
 
-    Space is divided into cubes. Particles in one cube, or in cubes that touch, are connected; an
-    empty layer of cubes separates two pieces. Particles of different objects never belong to one
-    piece.
+    Particles in one cube, or in cubes that touch, are connected; particles of different objects are
+    not.
     """
 
     def __init__(self, rest: NDArray, side: float, object_id: NDArray | None = None) -> None:
-        """Label the pieces of material (groups of connected particles) at rest.
+        """Label the pieces at rest.
 
         Args:
             rest: Positions at rest [P,3], m.
             side: Side of a cube [m].
-            object_id: Index of each particle's object [P]; None: one object has all particles.
+            object_id: Object of each particle [P]; None: a single object.
         """
         self._side, self._object = side, object_id
         self._body = labels(self._spread(rest), side)
@@ -219,11 +199,7 @@ class Pieces:
             self._sizes = np.bincount(self._body)
 
     def loose(self, x: NDArray) -> int:
-        """Return how many particles have left the largest remaining part of their piece of
-        material.
-
-        The particles are at x [P,3], m.
-        """
+        """Return how many particles at x [P,3], m, have left the largest part of their piece."""
         now = labels(self._spread(x), self._side)
         if now is None or self._body is None or now.max() == 0:
             return 0
@@ -233,9 +209,7 @@ class Pieces:
         return int((self._sizes - largest).sum())
 
     def _spread(self, x: NDArray) -> NDArray:
-        """Return the positions, with each object shifted away from the other objects, so that no
-        two objects touch.
-        """
+        """Return the positions, with gaps between the objects."""
         if self._object is None or not np.isfinite(x).all():
             return x
         shifted = x.astype(np.float64)
@@ -244,13 +218,8 @@ class Pieces:
 
 
 def labels(x: NDArray, side: float) -> NDArray[np.int64] | None:
-    """Return the index of the piece of material to which each particle belongs [P].
-
-    The result is None if the particles are too scattered.
-
-    Args:
-        x: Positions of the particles [P,3], m.
-        side: Side of the cubes that connect particles to pieces [m].
+    """Return the index of each particle's piece [P], with cubes of a side [m]; None if the
+    particles are too scattered.
     """
     if len(x) == 0 or not np.isfinite(x).all():
         return None
@@ -268,11 +237,7 @@ def labels(x: NDArray, side: float) -> NDArray[np.int64] | None:
 
 
 def _cubes(column: NDArray, side: float) -> NDArray[np.int64]:
-    """Return the index, along one axis, of the cube of space that contains each particle.
-
-    If particles are widely scattered, gaps between occupied cubes are narrowed to two cubes; pieces
-    remain separate.
-    """
+    """Return each particle's cube along one axis; wide gaps are narrowed to two cubes."""
     cubes = (column - column.min()) / side
     if cubes.max() < FAR:
         return cubes.astype(np.int64)

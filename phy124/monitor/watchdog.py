@@ -1,10 +1,8 @@
 """Watchdog: checks after each frame that the state is valid and that momentum and energy balance.
 
-A state is valid if all values are finite and at most a few particles are inverted (det F < 0). The
-change of momentum must equal the impulse of forces and walls. Energy must not grow by more than the
-work of forces and walls. Explicit MPM only loses energy, so a gain means that the run is unstable.
-The responsible particle and the remedies are determined only after an error. The watchdog only
-reads the state; the solver repairs invalid deformations (phy124/mpm/repair.py).
+A state is valid if all values are finite and at most a few particles are inverted (det F < 0).
+Explicit MPM only loses energy, so a gain means that the run is unstable. The watchdog only reads
+the state; the solver repairs invalid deformations (phy124/mpm/repair.py).
 """
 
 from __future__ import annotations
@@ -37,93 +35,82 @@ if TYPE_CHECKING:
 INSIDE_OUT = 0.01
 """Largest accepted fraction of inverted particles."""
 FEW = 2
-"""Number of inverted particles that is always accepted; they are reset before the next frame."""
+"""Number of inverted particles that is always accepted."""
 ENERGY_GAIN = 0.25
 """Tolerated spurious energy, relative to the largest supplied energy.
 
-The spurious momentum was below 0.7 % in 99 % of 6,500 random scenes. In the worst scene, two
-particles whose velocity is set in every substep, it reached 13 %. In an unstable run, the spurious
-energy exceeds any limit within a few frames.
+The spurious momentum was below 0.7 % in 99 % of 6,500 random scenes. In the worst scene, it reached
+13 %. In an unstable run, the spurious energy exceeds any limit within a few frames.
 """
 EXCHANGE_GAIN = 0.25
-"""There is a note if the exchange between a liquid and bodies creates more than this fraction of
-the largest supplied energy. The created energy is computed only if `checks.energy` is on. In 14
-test scenes, the created energy is at most 15 %. In 3 scenes with foam or very light bodies, the
-created energy is 77 to 148 % (docs/design/liquids.md).
+"""Fraction of the largest supplied energy above which energy created by the exchange between a
+liquid and bodies is noted. In 14 test scenes, this energy is at most 15 %. In 3 scenes with foam or
+very light bodies, it is 77 to 148 % (docs/design/liquids.md).
 """
 MOMENTUM_GAIN = {"float32": 1e-3, "float64": 1e-6}
-"""Tolerated spurious momentum, relative to all transferred momentum."""
+"""Tolerated spurious momentum, relative to the transferred momentum."""
 PROJECTED = 0.5
-"""Tolerated spurious momentum of a liquid with projected pressure, relative to all transferred
-momentum. Layers thinner than a cell exert up to a quarter less than their weight on walls. When
-objects that are two cells wide hit the floor, the measured momentum that the floor transfers is up
-to 35 % too small.
+"""Tolerated spurious momentum of a projected liquid, relative to the transferred momentum. Layers
+thinner than a cell exert up to a quarter less than their weight on walls. When objects that are two
+cells wide hit the floor, the measured momentum is up to 35 % too small.
 """
 LEVEL = 0.05
-"""Error of the level of a resting liquid [cells]. Spurious energy is compared with at least the
-energy that lifts the liquid by this height.
+"""Error of the level of a resting liquid [cells]; spurious energy is compared with at least this
+lift.
 """
 CROWDED = 0.1
-"""Largest mean excess of the density of a liquid with projected pressure. If the excess is larger,
-the space between the walls is too small for the liquid."""
+"""Largest mean excess of density of a projected liquid that has enough space."""
 ROUNDING = {"float32": 1e-5, "float64": 1e-12}
-"""Largest energy loss due to rounding, relative to the sum of absolute work."""
+"""Largest energy loss by rounding, relative to the sum of absolute work."""
 QUIET = 1e-9
-"""Energies below this fraction of volume times stiffness count as rounding errors."""
+"""Smaller energies, relative to volume times stiffness, count as rounding errors."""
 COLLAPSE = 0.8
-"""Above this ratio of impact speed to speed of sound, J of some materials approaches 0."""
+"""Ratio of impact speed to speed of sound above which J of some materials approaches 0."""
 UNSEEN = 3e-4
-"""Largest strain that is invisible: 0.1 pixels in an object of 300 pixels."""
+"""Largest invisible strain: 0.1 pixels in an object of 300 pixels."""
 FADING = {"float32": 2e-9, "float64": 4e-18}
 """Largest strain per substep due to rounding errors of F.
 
-In a substep dt, F grows by dt C F. In a stiff body that rotates slowly, F changes in a substep by
-less than its last digit, so rounding strains the body. The measured strain per substep in float32
-is 3e-10, at any distance from the origin, or 7e-10 with half the `accuracy.cfl`. The energy of a
-strain is quadratic in the strain, and a quarter of the energy is tolerated.
+In a stiff body that rotates slowly, F changes in a substep by less than its last digit. The
+measured strain per substep in float32 is 3e-10, or 7e-10 with half the `accuracy.cfl`. The energy
+is quadratic in the strain, and a quarter of the energy is tolerated.
 """
 FAST = ("solver", "cells", "push")
 ROUNDED = ("precision",)
-"""Two causes of errors (`phy124.budget.remedies`): particles that are too fast, and rounding."""
+"""Causes of errors for `phy124.budget.remedies`: fast particles, and rounding."""
 SWOLLEN = 2.0
 """Volume ratio above which a real solid would have fractured."""
 SQUEEZED = 0.5
-"""Volume ratio below which the constitutive law or a push may have caused an instability."""
+"""Volume ratio below which the law or a push may have caused an instability."""
 
 
 @dataclass
 class Balance:
-    """The balance of energy and momentum of a run, updated frame by frame."""
+    """Energy and momentum of a run so far."""
 
     turnover: float = 0.0
-    """Largest value of `energy_supplied` [J] so far: energy that the object had at the start or
-    gained later, and can therefore lose.
-    """
+    """Largest value of `energy_supplied` [J]."""
     moved: float = 0.0
-    """Sum of all transferred momentum so far [kg m/s]."""
+    """Sum of all transferred momentum [kg m/s]."""
     energy_gain: float = 0.0
     """Spurious energy, relative to `turnover`."""
     momentum_gain: float = 0.0
     """Spurious momentum, relative to the transferred momentum."""
     trembles: float = 0.0
-    """Spurious energy that rounding errors explain, relative to `turnover`; 0 if it was never above
-    the tolerance."""
+    """Spurious energy explained by rounding errors, relative to `turnover`."""
 
 
 def energy_supplied(start: float, work: float, walls: float) -> float:
     """Return the energy [J] that an object had at the start or gained later, and can therefore
     lose.
 
-    Args:
-        start: Kinetic and elastic energy at the start [J].
-        work: Work of all forces and walls since the start [J].
-        walls: The walls' part of this work [J]; if negative, the loss to friction.
+    `walls` is the walls' part of the external work [J]; if negative, the loss to friction.
     """
     return start + max(work - min(walls, 0.0), 0.0)
 
 
 class Watchdog(Observer):
-    """Checks one run; the balance is checked only if an `ExternalWork` observes the same run."""
+    """Checks one run; the balance only together with `ExternalWork`."""
 
     kept = (
         "_begun",
@@ -143,11 +130,11 @@ class Watchdog(Observer):
 
     @classmethod
     def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
-        """Yield the kernels that sum momentum and energy over particles."""
+        """Yield the kernels that sum momentum and energy."""
         yield from (make_totals(law, real) for law in subject.laws)
 
     def bind(self, solver: AnySolver, observers: Sequence[Observer] = ()) -> None:
-        """Connect the observer to the solver, whose state is the initial state of the run."""
+        """Connect the observer to the solver in its initial state."""
         self._solver = solver
         self.model, self.state, self.clock = solver.model, solver.state, solver.clock
         self.external = find(observers, ExternalWork)
@@ -158,13 +145,11 @@ class Watchdog(Observer):
         self._stopped, self._pushed = solver.pairs.impulse(), solver.free.impulses()
 
     def totals_of(self, solver: AnySolver) -> Totals:
-        """Return the sums of momentum and energy over the solver's state."""
+        """Return the sums over the solver's state."""
         return Totals(solver.model, solver.state)
 
     def before_attempt(self, *, closely: bool = False) -> None:
         """Start to sum the external work of a frame.
-
-        Before the first frame, the balance of energy and momentum is also started.
 
         If `closely` is set, each substep is checked for non-finite particles, before they affect
         their neighbours.
@@ -187,13 +172,11 @@ class Watchdog(Observer):
             self.external.begin(self.last.momentum)
 
     def restart(self) -> None:
-        """Start the balance of energy and momentum again with the next frame; call after changing
-        the state.
-        """
+        """Start the balance again with the next frame, after changing the state."""
         self._begun = False
 
     def after_substep(self) -> None:
-        """Store the largest speed of a particle so far.
+        """Store the largest speed so far.
 
         Raises:
             Unstable: The attempt is checked closely, and the state of a particle is not finite.
@@ -214,7 +197,7 @@ class Watchdog(Observer):
         return problem
 
     def diagnose(self, problem: str) -> Violation:
-        """Return an error that says why the solver stopped, and names a responsible particle."""
+        """Return why the solver stopped, with a responsible particle."""
         broken = find_broken(self.state)
         if len(broken):
             return Violation(f"{problem}, first {self._describe(int(broken[0]))}", self._unstable())
@@ -276,7 +259,7 @@ class Watchdog(Observer):
         return notes
 
     def report(self, frames: Sequence[Frame] = ()) -> dict[str, Any]:
-        """Return the report sections about the balance and, if requested, the lost energy."""
+        """Return the sections about the balance and the lost energy."""
         balanced = self.external is not None
         balance = {
             "energy_gain": self.balance.energy_gain if balanced else None,
@@ -290,7 +273,6 @@ class Watchdog(Observer):
         return {"balance": balance, **self._energy()}
 
     def _energy(self) -> dict[str, Any]:
-        """Return the lost energy [J] by cause, and the largest supplied energy [J]."""
         if self._dissipation is None or self.external is None:
             return {}
         turnover = self.balance.turnover
@@ -301,9 +283,8 @@ class Watchdog(Observer):
         return {"energy": {"turnover": turnover, "lost": loss.total, **loss._asdict(), **details}}
 
     def _check_room(self) -> Violation | None:
-        """Return an error if a liquid that contains bodies has too little space, otherwise None.
-
-        Without other bodies, a liquid in a small space only becomes denser.
+        """Return an error if a liquid with bodies has too little space. A liquid alone would only
+        become denser.
         """
         solver: Any = self._solver
         mixed = hasattr(solver, "liquid") or solver.free.all
@@ -326,9 +307,7 @@ class Watchdog(Observer):
         )
 
     def _check_balance(self, now: Diagnostics) -> Violation | None:
-        """Check the balance: compare energy and momentum with initial values plus external work and
-        impulse.
-        """
+        """Compare energy and momentum with initial values plus external work and impulse."""
         assert self.external is not None
         outside = self.external.total(self.clock, now.middle - self.first.middle, now.momentum)
         outside = outside.plus(self._solver.free.impulses() - self._pushed)
@@ -357,7 +336,7 @@ class Watchdog(Observer):
         return problem
 
     def _check_energy(self, energy: float, turnover: float) -> Violation | None:
-        """Return an error if rounding does not explain the spurious energy, otherwise None."""
+        """Return an error if rounding does not explain the spurious energy."""
         if energy <= ENERGY_GAIN * turnover:
             return None
         faded = FADING[self.model.precision] * self.clock.substeps
@@ -371,7 +350,6 @@ class Watchdog(Observer):
         return Violation(what, ROUNDED if rounded else self._unstable())
 
     def _check_momentum(self, fraction: float) -> Violation | None:
-        """Return an error if there is spurious momentum, otherwise None."""
         if fraction <= (
             PROJECTED if self._solver.projects else MOMENTUM_GAIN[self.model.precision]
         ):
@@ -384,28 +362,22 @@ class Watchdog(Observer):
         return Violation(what, ROUNDED if self.model.precision == "float32" else self._unstable())
 
     def _unstable(self) -> tuple[str, ...]:
-        """Return possible causes of instability: the solver, the substep and, if the motion is
-        violent, the constitutive law and pushes.
-        """
+        """Return possible causes of instability."""
         violent = self.min_J < SQUEEZED or self.clock.stable().limiter in ("speed", "gradient")
         return ("solver", "substep", *(("law", "push") if violent else ()))
 
     def _strain_energy(self, strain: float) -> float:
-        """Return the elastic energy [J] of the whole body at a given strain."""
+        """Return the elastic energy [J] of the whole body at a strain."""
         stiffest = max(m.density * m.wave_speed() ** 2 for m in self.model.materials)
         volume = float(np.sum(self.model.volume.numpy(), dtype=np.float64))
         return stiffest * volume * strain**2
 
     def _unresolved_lift(self) -> float:
-        """Return the energy [J] that lifts a liquid with projected pressure by `LEVEL`.
-
-        `LEVEL` is the error of the level of a resting liquid.
-        """
+        """Return the energy [J] that lifts a projected liquid by `LEVEL`."""
         pull = getattr(self.clock, "pull", None)
         if pull is None:
             return 0.0
         return LEVEL * self.model.dx * self.model.total_mass * float(np.linalg.norm(pull))
 
     def _describe(self, index: int) -> str:
-        """Return a description of a particle for messages."""
         return describe_particle(self.model, self.state, index)

@@ -1,8 +1,6 @@
 """Wrenches: measures force and torque of an object on each wall and on other objects.
 
-The impulse and the moment of a wall on the nodes are summed in every substep; the object exerts the
-opposite on the wall. Torques are about the centre of mass of all particles at the time of the
-frame.
+Torques are about the centre of mass of all particles at the time of the frame.
 """
 
 from __future__ import annotations
@@ -33,32 +31,21 @@ if TYPE_CHECKING:
     from phy124.liquid import AnySolver
 
 STAGE = "wrenches"
-"""Name of the stages that sum wrenches."""
 LIQUID = -1
-"""Key of the impulses that a liquid with projected pressure exerts. The other keys are indices of
-CPU workers."""
+"""Key of the impulses of a projected liquid; other keys are indices of workers."""
 Vector3 = NDArray[np.float64]
 
 
 class Wrenches(Observer):
-    """Measures wrenches (forces and torques) in each frame: between objects and, if requested, on
-    walls.
-    """
+    """Wrenches (forces and torques) between objects and, if requested, on walls."""
 
     absent: ClassVar[dict[str, Any]] = {"walls": None}
     in_substeps = True
 
     def __init__(self, *, of_walls: bool = True, of_pairs: bool = False, fps: float = 1.0) -> None:
-        """Create the observer; it has not summed anything yet.
-
-        Args:
-            of_walls: Whether walls are measured.
-            of_pairs: Whether the report has a section for pairs of objects.
-            fps: Frames per second.
-        """
         self._of_walls, self._of_pairs, self._fps = of_walls, of_pairs, fps
         self._sums: dict[str, dict[int, wp.array]] = {}
-        """Sums of the impulses on each wall, by name and worker."""
+        """Impulses on each wall, by name and worker."""
 
     @classmethod
     def called_for(cls, subject: Subject) -> bool:
@@ -73,7 +60,7 @@ class Wrenches(Observer):
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
-        """Return the row of the effects report for the wrenches on walls."""
+        """Return the row of the effects report."""
         asked = subject.scene.keeps_wrenches and bool(subject.scene.boundaries)
         return Effect("force and torque per wall", asked, "not requested, or there is no boundary")
 
@@ -86,31 +73,25 @@ class Wrenches(Observer):
 
     @property
     def walls(self) -> tuple[str, ...]:
-        """Names of the measured walls, in the order of the scene."""
+        """Names of the measured walls."""
         return tuple(self._sums)
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of all wrenches in a frame, in the order of the frame's data."""
+        """Names of all wrenches in a frame."""
         return (*self.walls, *pair_names(self._solver))
 
     def wrap_walls(
         self, walls: Sequence[Boundary], inner: Sequence[Attachable]
     ) -> Sequence[Attachable]:
-        """Return the boundaries, each with stages that measure its walls before and after they
-        act.
-        """
+        """Return the boundaries, with stages that measure each wall."""
         if not self._of_walls:
             return inner
         named = zip(wall_names(walls), walls, inner, strict=True)
         return [_Separated(self, name, wall, wrapped) for name, wall, wrapped in named]
 
     def bind(self, solver: AnySolver, observers: Sequence[Observer] = ()) -> None:
-        """Connect the observer to the solver, and let the solver sum the impulses between
-        objects.
-
-        The liquid solver also sums the impulses of walls.
-        """
+        """Connect the observer to the solver."""
         self._solver = solver
         self._read_impulses()
 
@@ -129,21 +110,19 @@ class Wrenches(Observer):
                 self._sums.setdefault(name, {})[LIQUID] = impulses.wrench(name)
 
     def before_attempt(self, *, closely: bool = False) -> None:
-        """Set the sums of the walls' impulses to zero."""
+        """Set the sums of impulses to zero."""
         for sums in self._arrays().values():
             sums.zero_()
 
     def after_frame(self, frame: Frame) -> Frame:
-        """Return the frame with the mean wrenches (forces and torques) since the previous frame."""
+        """Return the frame with the mean wrenches since the previous frame."""
         if not self._of_walls and not self.names:
             return frame
         return replace(frame, wrenches=self.contacts(self._solver, self._fps))
 
     def contacts(self, solver: AnySolver, fps: float) -> dict[str, Wrench]:
-        """Return the mean wrench (force and torque) on each wall and between each pair of
-        bodies.
-
-        The mean is taken over the time since the start of the frame.
+        """Return the mean wrench on each wall and between each pair of bodies since the start of
+        the frame.
         """
         arrays = (solver.model.mass, solver.state.x)
         mass, x = (np.asarray(array.numpy(), np.float64) for array in arrays)
@@ -155,29 +134,24 @@ class Wrenches(Observer):
         return wrenches
 
     def report(self, frames: Sequence[Frame]) -> dict[str, Any]:
-        """Return the report's sections about wrenches on walls and, with several objects, between
-        objects.
-        """
+        """Return the sections about wrenches on walls and between objects."""
         report = {"walls": summary(frames, self.walls) if self._of_walls else None}
         if self._of_pairs:
             report["pairs"] = summary(frames, pair_names(self._solver))
         return report
 
     def snapshot(self) -> dict[str, Any]:
-        """Return a snapshot of the sums of the walls' impulses."""
+        """Return the sums of impulses."""
         return {name: wp.clone(sums) for name, sums in self._arrays().items()}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Restore the sums of the walls' impulses from a snapshot."""
+        """Restore the sums of impulses."""
         for name, sums in self._arrays().items():
             copy = snapshot.get(name)
             sums.zero_() if copy is None else sums.assign(copy)
 
     def measure(self, name: str, wall: Boundary, model: Model) -> tuple[Stage, Stage]:
-        """Return the stages that measure a wall: before and after it acts.
-
-        `name` is the key of the wall's sums.
-        """
+        """Return the stages before and after a wall acts; `name` is the key of the wall's sums."""
         self._sums[name] = {}
         near, kernel = NodesNear([wall], model), kernels.make_wall_wrench(model.real)
 
@@ -189,10 +163,7 @@ class Wrenches(Observer):
         return Stage(STAGE, near.record_copy), Stage(STAGE, after)
 
     def _worker_sums(self, name: str, grid: Grid, model: Model) -> wp.array:
-        """Return the array in which a CPU worker sums the impulses on one wall.
-
-        No other thread adds to this array.
-        """
+        """Return a worker's array, to which no other thread adds."""
         sums = self._sums[name]
         if grid.worker not in sums:
             sums[grid.worker] = wp.zeros(kernels.SUMS, dtype=wp.float64, device=model.device)
@@ -206,9 +177,8 @@ class Wrenches(Observer):
         }
 
     def of_wall(self, wall: str, centre: Vector3, fps: float) -> Wrench:
-        """Return the mean force and torque on a wall since the start of the frame.
-
-        The torque is about a centre [3], m.
+        """Return the mean force and torque about a centre [3], m, on a wall since the start of the
+        frame.
         """
         total = np.zeros(kernels.SUMS)
         for sums in self._sums[wall].values():
@@ -218,15 +188,10 @@ class Wrenches(Observer):
 
 
 class _Separated:
-    """A boundary with a measuring stage before and after each of its walls."""
-
     def __init__(self, wrenches: Wrenches, name: str, wall: Boundary, inner: Attachable) -> None:
         self._wrenches, self._name, self._wall, self._inner = wrenches, name, wall, inner
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Return the boundary's stages of a substep, with stages that measure all walls or each
-        wall.
-        """
         wall = self._wall
         stages, parts = self._inner.attach(model, state, tracks), wall.parts()
         each, more = divmod(len(stages), len(parts))
@@ -249,9 +214,7 @@ class _Separated:
 def pair_names(solver: AnySolver) -> tuple[str, ...]:
     """Return a name for each pair of bodies that may touch.
 
-    The first body of a pair exerts the force, and the second body receives it.
-
-    Pairs of particle bodies come before pairs with rigid solids.
+    The second body receives the force. Particle bodies come before rigid solids.
     """
     names = solver.model.names
     pairs = (f"{names[p.first]}_on_{names[p.second]}" for p in solver.pairs.all)
@@ -259,7 +222,7 @@ def pair_names(solver: AnySolver) -> tuple[str, ...]:
 
 
 def wall_names(walls: Sequence[Boundary]) -> list[str]:
-    """Return a name for each boundary: its kind, and a number if the kind occurred before."""
+    """Return a name for each boundary: its kind, with a number for repeated kinds."""
     counts: Counter[str] = Counter()
     names = []
     for wall in walls:
@@ -270,7 +233,7 @@ def wall_names(walls: Sequence[Boundary]) -> list[str]:
 
 
 def simple_wall_names(walls: Sequence[Boundary]) -> list[str]:
-    """Return a name for each simple wall of each boundary, in the order of the boundaries."""
+    """Return a name for each simple wall, in the order of the boundaries."""
     return [
         name if len(wall.parts()) == 1 else f"{name}_{part}"
         for name, wall in zip(wall_names(walls), walls, strict=True)
@@ -279,11 +242,7 @@ def simple_wall_names(walls: Sequence[Boundary]) -> list[str]:
 
 
 def summary(frames: Sequence[Frame], names: Sequence[str]) -> dict[str, Any] | None:
-    """Return, for each wall or pair of objects: the largest force, its time, and the last
-    wrench.
-
-    Frames before the first substep have no forces. Names are those of walls or pairs.
-    """
+    """Return for each name the largest force, its time, and the last wrench."""
     if not frames or frames[-1].wrenches is None:
         return None
     rows = {}
