@@ -1,12 +1,9 @@
 """Chooses an accuracy that meets a goal: a maximum error or a maximum time.
 
-A level is a run of the scene on one grid. For a maximum error, levels are run from coarse to fine.
-Each level has at most 1.5 times as many cells across the object as the previous level. After three
-levels, the order of convergence and the error of each level are estimated. The next level is the
-coarsest grid that is predicted to meet the goal. The search ends when a level meets the goal. If
-the estimates are correct, the chosen grid therefore has at most 1.5 times as many cells as
-necessary. If the material tears on a level (phy124/monitor/tearing.py), the level is repeated with
-one more particle per cell and axis. All later levels also use this number of particles.
+For a maximum error, grids are run from coarse to fine; each grid has at most 1.5 times as many
+cells across the object as the grid before. After three grids, the order of convergence and the
+errors are estimated. The next grid is the coarsest that is predicted to meet the goal. If the
+material tears on a grid, the grid is repeated with one more particle per cell and axis.
 
 For a maximum time, the scene is run on the finest grid whose predicted time is within the maximum.
 """
@@ -43,35 +40,34 @@ from phy124.simulation import Simulation, prepare
 from phy124.simulation.bodies import Placed
 
 FIRST = (12, 16, 24)
-"""Cells across the object on the grids that are simulated first. An order of convergence needs
-three grids."""
+"""Cells across the object on the first grids; an order of convergence needs three grids."""
 STEP = 1.5
-"""Largest ratio of the cells across the object between a new grid and the finest grid so far."""
+"""Largest ratio of the cells on a new grid to the cells on the finest grid so far."""
 CELLS = (8, 10, 12, 14, 16, 20, 24, 28, 32, 40, 48, 56, 64, 80, 96, 112, 128)
-"""Numbers of cells across the object on the grids that may follow the first grids.
+"""Cells across the object on further grids.
 
 A run on the finest grids takes minutes on two cores, and less than 2 GB of memory.
 """
 GUESSED_ORDER = 1.0
-"""Order of convergence that is assumed if the results on the grids do not converge. With free
-surfaces, the error is of first order."""
+"""Order of convergence that is assumed without convergence; with free surfaces, the error is of
+first order.
+"""
 START = 16
-"""The search for a maximum time begins on a grid with this number of cells across the object."""
+"""Cells across the object at the start of the search for a maximum time."""
 ATTEMPTS = 2
-"""Maximum number of further grids that are simulated if the results on the first grids do not
-converge."""
+"""Largest number of further grids if the results on the first grids do not converge."""
 DENSEST = 4.0
-"""Maximum number of particles per cell and axis."""
+"""Largest number of particles per cell and axis."""
 
 
 @dataclass
 class Reached:
-    """The chosen run of a scene, with its clip and its measured error or time."""
+    """The chosen run, with its clip and its measured error or time."""
 
     simulation: Simulation
     clip: Clip
     about: dict[str, Any]
-    """The goal, the chosen grid and the result, for the report."""
+    """Goal, chosen grid and result, for the report."""
 
 
 def run_for_goal(
@@ -92,10 +88,10 @@ def run_for_goal(
         gaussians: The object.
         scene: The scene.
         context: Device, threads, progress and stopwatch.
-        elapsed: Part of the maximum time that has already been used [s].
-        crop: Rectangle of the object in the picture on which the masks of parts were painted.
+        elapsed: Part of the maximum time that is already used [s].
+        crop: Position of the object in the picture with the masks of parts.
         forecaster: Predicts times; None: a new forecaster.
-        see: Callback that receives the simulation after each frame of each run.
+        see: Function called with the simulation after each frame of each run.
 
     Raises:
         InputError: No grid meets the goal. The message states the error or time of the best grid.
@@ -110,27 +106,23 @@ def run_for_goal(
 
 @dataclass
 class _Runs:
-    """Runs a scene on several grids, and stores the clip of each grid."""
+    """Runs of a scene on several grids, by cells across the object."""
 
     gaussians: Gaussians
     scene: Scene
     context: RunContext
     crop: Crop
     see: Callable[[Simulation], object] = lambda run: None
-    """Callback that receives the simulation after each frame of each run."""
     done: dict[int, tuple[Simulation, Clip]] = field(default_factory=dict)
     spent: dict[int, float] = field(default_factory=dict)
-    """Duration of the run on each grid [s]; the keys are the cells across the object."""
+    """Duration of the run on each grid [s]."""
     placed: Placed | None = None
-    """The object after placement in the scene; None before the first simulation."""
+    """The object in its position; None before the first simulation."""
     denser: bool = False
-    """Whether all further runs use one more particle per cell and axis than the scene asks for.
-    This is so after the material tore in a run."""
+    """Whether further runs use one more particle per cell and axis, because the material tore."""
 
     def simulation(self, cells: int) -> Simulation:
-        """Create a simulation of the scene with this number of cells across the object, without
-        starting it.
-        """
+        """Return a simulation on the grid with this number of cells, without starting it."""
         base = self.scene.resolution
         per_axis = self.scene.particles_per_axis + self.denser
         accuracy = base.model_copy(update={"cells": cells, "particles_per_axis": per_axis})
@@ -141,9 +133,8 @@ class _Runs:
         return Simulation(setup)
 
     def clip(self, cells: int) -> Clip:
-        """Return the clip of the scene on the grid with this number of cells across the object.
-
-        If this grid has no clip yet, the simulation is run.
+        """Return the clip on the grid with this number of cells; run the simulation if
+        necessary.
         """
         if cells not in self.done:
             start = time.perf_counter()
@@ -162,10 +153,7 @@ class _Runs:
         return simulation.run(record=self.see)
 
     def _make_denser(self, cells: int) -> None:
-        """Repeat the run on a grid on which the material tore.
-
-        The repeated run uses more particles if the limit allows it.
-        """
+        """Repeat a run in which the material tore, with more particles if the limit allows more."""
         self.denser = self.scene.particles_per_axis + 1 <= DENSEST
         if self.denser:
             with suppress(InputError):
@@ -178,7 +166,7 @@ class _Runs:
 
     @property
     def torn(self) -> list[int]:
-        """Grids on which the material may have torn. Estimates of the error ignore these grids."""
+        """Grids on which the material may have torn; estimates of the error ignore them."""
         tearing = {level: run.find(Tearing) for level, (run, _) in self.done.items()}
         return sorted(level for level, search in tearing.items() if search and search.likely)
 
@@ -207,7 +195,7 @@ def _meet_error(goal: Goal, runs: _Runs) -> Reached:
 
 
 def _refine(goal: Goal, runs: _Runs, result: Convergence) -> str:
-    """Run the scene on the next finer grid; return "", or the reason why there is no such grid."""
+    """Run the scene on the next finer grid; return the reason why there is none, or ""."""
     if not result.errors and len(runs.done) >= len(FIRST) + ATTEMPTS:
         return result.why_not
     finest, (error, order) = max(runs.done), _guess(goal, runs, result)
@@ -224,10 +212,7 @@ def _refine(goal: Goal, runs: _Runs, result: Convergence) -> str:
 
 
 def _guess(goal: Goal, runs: _Runs, result: Convergence) -> tuple[float, float]:
-    """Guess the order of convergence, and the error on the finest grid.
-
-    Grids on which the material tore are ignored.
-    """
+    """Guess the error on the finest grid and the order of convergence, without torn grids."""
     if result.error is not None:
         order = result.order or GUESSED_ORDER
         return result.error, min(max(order, TRUSTED[0]), TRUSTED[1])
@@ -237,9 +222,7 @@ def _guess(goal: Goal, runs: _Runs, result: Convergence) -> tuple[float, float]:
 
 
 def _describe_best(goal: Goal, runs: _Runs, error: float, order: float) -> str:
-    """Describe the error and the time on the finest possible grid, extrapolated from the last
-    grid.
-    """
+    """Describe error and time on the finest possible grid, extrapolated from the last grid."""
     known, finest = max(runs.done), CELLS[-1]
     best = format_error(goal.kind, error * (known / finest) ** order)
     seconds = duration(runs.spent[known] * (finest / known) ** GROWTH)
@@ -256,7 +239,6 @@ def _report(
     runs: _Runs,
     obstacle: str,
 ) -> dict[str, Any]:
-    """Return the goal and the result, in the goal's unit, for the report."""
     levels = runs.whole
     why_not = _why_torn(runs) if runs.torn else result.why_not or obstacle
     return {
@@ -287,9 +269,9 @@ def _why_torn(runs: _Runs) -> str:
 
 
 def _choose_run(result: Convergence, runs: _Runs, goal: Goal) -> tuple[int, float | None, bool]:
-    """Return the best grid, the error on this grid, and whether the error meets the goal.
+    """Return the best grid, its error, and whether the error meets the goal.
 
-    The result is the coarsest grid that meets the goal, or the finest grid if no grid does.
+    The best grid is the coarsest that meets the goal, or else the finest.
     """
     levels = runs.whole
     for cells, error in zip(levels, result.errors, strict=False):
@@ -299,9 +281,6 @@ def _choose_run(result: Convergence, runs: _Runs, goal: Goal) -> tuple[int, floa
 
 
 def _estimate(goal: Goal, runs: _Runs) -> Convergence:
-    """Estimate the order of convergence and the error on each grid on which the material did not
-    tear.
-    """
     cells = runs.whole
     apart = np.zeros((len(cells), len(cells)))
     for i, j in combinations(range(len(cells)), 2):
@@ -312,7 +291,7 @@ def _estimate(goal: Goal, runs: _Runs) -> Convergence:
 
 
 def _distance(goal: Goal, first: Clip, second: Clip, scene: Scene) -> float:
-    """Return the RMS distance between the Gaussians of two clips, in the unit of the goal."""
+    """Return the RMS distance between two clips, in the unit of the goal."""
     if goal.kind == "pixels":
         return pixel_distance(first, second, scene.view)
     unit = scene.object.size if goal.kind == "fraction" else 1.0
@@ -340,15 +319,13 @@ def in_time(
 ) -> tuple[Scene, Forecast]:
     """Return the scene on the finest grid whose predicted time is short enough, and the forecast.
 
-    The forecasts need only short trial runs.
-
     Args:
         goal: The maximum time.
         gaussians: The object.
         scene: The scene.
         context: Device and threads.
-        elapsed: Part of the maximum time that has already been used [s].
-        crop: Rectangle of the object in the picture on which the masks of parts were painted.
+        elapsed: Part of the maximum time that is already used [s].
+        crop: Position of the object in the picture with the masks of parts.
         forecaster: Predicts times; None: a new forecaster.
 
     Raises:
@@ -362,8 +339,6 @@ def in_time(
 
 
 class _Fit(NamedTuple):
-    """The finest grid whose predicted time is within the maximum time, with its forecast."""
-
     cells: int
     simulation: Simulation
     forecast: Forecast
@@ -387,11 +362,6 @@ def _meet_time(goal: Goal, runs: _Runs, forecaster: Forecaster, elapsed: float) 
 
 
 def _find_finest(goal: Goal, runs: _Runs, forecaster: Forecaster, elapsed: float) -> _Fit:
-    """Return the finest grid whose predicted time is within the maximum time.
-
-    Raises:
-        InputError: On every grid, the predicted time exceeds the maximum time.
-    """
     watch = runs.context.watch
     available, start, compiled = MARGIN * goal.value - elapsed, watch.total, _sum_compilation(runs)
     tried: dict[int, tuple[Simulation, Forecast]] = {}
@@ -420,12 +390,10 @@ def _find_finest(goal: Goal, runs: _Runs, forecaster: Forecaster, elapsed: float
 
 
 def _sum_compilation(runs: _Runs) -> float:
-    """Return the time spent so far on compiling kernels [s]."""
     return runs.context.watch.seconds.get("compile", 0.0)
 
 
 def _sum_preparation(runs: _Runs) -> float:
-    """Return the time spent so far on creating particles and solvers for all grids [s]."""
     seconds = runs.context.watch.seconds
     return sum(seconds.get(stage, 0.0) for stage in ("particles", "compile"))
 
@@ -433,20 +401,10 @@ def _sum_preparation(runs: _Runs) -> float:
 def _choose_next(
     cells: int, wanted: list[int], preparing: float, forecast: Forecast, left: float, kept: float
 ) -> int:
-    """Return the next grid (cells across the object) to make a forecast for; 0 if there is none.
+    """Return the next grid to make a forecast for; 0: none.
 
-    The result is the finest grid whose preparation and run are expected to stay within the maximum
-    time. After the preparation of this grid, enough time must remain to run the previous best grid.
-    If no grid meets both conditions, and no forecast so far was within the maximum time, the result
-    is the coarsest grid.
-
-    Args:
-        cells: Cells across the object of the last grid.
-        wanted: Cells across the object of the grids that may be chosen, in increasing order.
-        preparing: Time to prepare the last grid [s].
-        forecast: Forecast of the last grid.
-        left: Remaining part of the maximum time [s].
-        kept: Predicted time of the best grid within the maximum time [s]; 0 if there is none.
+    The preparation and the run of this grid should stay within the time `left` [s]. After the
+    preparation, enough time must remain for the best grid so far, `kept` [s].
     """
     simulation = forecast.stages["simulate"]
     others = forecast.seconds - simulation
@@ -459,7 +417,6 @@ def _choose_next(
 
 
 GROWTH = 2.5
-"""Exponent: the times of preparation and simulation are assumed to be proportional to cells^GROWTH.
-
-For thin surfaces the exponent would be 2, and for solids 3; `GROWTH` is between these values.
+"""The times of preparation and simulation are assumed to be proportional to cells^GROWTH; thin
+surfaces would have the exponent 2, solids 3.
 """

@@ -1,11 +1,9 @@
 """Estimates the error of a finished run from a second run on a coarser grid (the companion run).
 
-The distance between the two runs is the RMS distance between the positions of some Gaussians. The
-estimated error is this distance times a factor, and the error bound is the distance times a larger
-factor. The factors were measured on many objects (docs/lab/own-error.md).
-
-The companion run starts after the original run, so it does not change the original result. Whether
-a companion run is made does not depend on measured times, so that equal runs have equal reports.
+The estimated error is the RMS distance between the two runs times a factor, and the error bound is
+the distance times a larger factor. The factors were measured on many objects
+(docs/lab/own-error.md). Whether a companion run is made does not depend on measured times, so that
+equal runs have equal reports.
 """
 
 import math
@@ -31,22 +29,19 @@ from phy124.simulation import Simulation, prepare
 from phy124.simulation.setup import Setup
 
 AFFORDABLE = 0.2
-"""Maximum predicted time of the companion run, as a fraction of the time for the dynamics of the
-original run."""
+"""Largest predicted time of the companion run, relative to the dynamics of the original run."""
 ON_LATTICE = 1.5
-"""Factor that multiplies `AFFORDABLE` if the objects are simulated on lattices, because their
-dynamics take at most half of the run's time."""
+"""Factor on `AFFORDABLE` for lattices, whose dynamics take at most half of the run's time."""
 SAMPLE = 2000
-"""Number of Gaussians whose motions in the two runs are compared."""
+"""Number of Gaussians that are compared."""
 MPM, LATTICE = Rates(particle=7e-8), Rates(substep=2.6e-4, particle=3.6e-8)
 RATES = {
     "mpm": (MPM, MPM),
     "lattice": (Rates(substep=4.2e-4, particle=2.1e-8), LATTICE),
     "cuda": (USUAL["cuda"], USUAL["cuda"]),
 }
-"""Times per substep and per particle of each solver for elastic objects on a CPU, and of a GPU. The
-first value applies to the original run, the second value to the companion run. With lattices, the
-checks of each frame take a large part of the run's time.
+"""Times per substep and per particle, for the original run and for the companion run. With
+lattices, the checks of each frame take a large part of the run's time.
 """
 EFFORT: dict[Motion, float] = {
     "squeezed": 2.2,
@@ -55,40 +50,33 @@ EFFORT: dict[Motion, float] = {
     "held": 0.9,
     "free": 2.4,
 }
-"""Factors that multiply the predicted time of a substep on a lattice, by kind of motion.
+"""Factors on the predicted time of a substep on a lattice, by kind of motion.
 
-The factors are larger for motions with contact, which takes additional time, and for strained
-objects, whose vibration frequency is measured.
+Contact takes additional time; so does the measurement of vibration frequencies of strained objects.
 """
 PREPARING = {"mpm": (0.02, 5e-7, 0.0), "lattice": (0.044, 0.0, 1e-5), "cuda": (0.045, 3e-7, 0.0)}
-"""Time to prepare a companion run [s]: a constant, a time per Gaussian, and a time per particle."""
+"""Time to prepare a companion run [s]: a constant, per Gaussian, and per particle."""
 COARSEST = 6
-"""Minimum number of cells across the object in the companion run."""
+"""Smallest number of cells across the object in the companion run."""
 FEWEST = 3
-"""Minimum number of frames that is needed to estimate an error."""
+"""Smallest number of frames for an estimate."""
 PARTED = 0.1
-"""Largest distance at which two motions on different grids count as similar, as a fraction of the
-object's size."""
+"""Largest distance of similar motions on two grids, relative to the object's size."""
 
 
 class Factors(NamedTuple):
-    """Factors that convert the distance between a run and its coarser companion run to the run's
-    error.
-    """
+    """Ratios of a run's error to the distance from the companion run."""
 
     about: float
-    """Median, over the measured objects and scenes, of the error divided by the distance between
-    the two runs."""
+    """Median over the measured objects and scenes."""
     at_most: float
-    """95th percentile, over the measured objects and scenes, of the error divided by the distance
-    between the two runs."""
+    """95th percentile over the measured objects and scenes."""
 
 
 RATIO = 0.5
-"""Number of cells across the object in the companion run, relative to the original run.
+"""Cells across the object in the companion run, relative to the original run.
 
-With a ratio of 5/8, the estimate would be less precise and take twice as long
-(docs/lab/own-error.md).
+With 5/8, the estimate would be less precise and take twice as long (docs/lab/own-error.md).
 """
 FACTORS = {
     "free": Factors(0.27, 0.85),
@@ -103,57 +91,53 @@ FACTORS = {
     "metal": Factors(0.6, 2.6),
     "foam": Factors(0.6, 0.95),
 }
-"""Factors for each kind of motion, and for each constitutive law that was measured. A constitutive
-law without factors of its own uses the factors of the kind of motion.
+"""Factors for each kind of motion, and for each law that was measured; other laws use the factors
+of the kind of motion.
 """
 USUAL_CELLS = 16
-"""Number of cells across the object in a companion run to which `FACTORS` apply exactly. If the
-companion run has more or fewer cells, the factors are larger.
+"""Cells of a companion run to which `FACTORS` apply exactly; with more or fewer cells, the factors
+are larger.
 """
 FLOOR = 2e-4
-"""Error that is always added to the bound, as a fraction of the object's size."""
+"""Error that is always added to the bound, relative to the object's size."""
 LEAST = 0.6
-"""Lower limit of the error bound, as a fraction of the error that was predicted before the run.
-
-If the results on two coarse grids agree by chance, the estimated error is too small. The lower
-limit then keeps the bound from being too small.
+"""Lower limit of the error bound, as a fraction of the error that was predicted before the run. The
+results on two coarse grids may agree by chance.
 """
 
 
 class OwnError(NamedTuple):
-    """The error of a run, estimated from a coarser run, or the reason why there is no estimate."""
+    """The error of a run, estimated from a coarser run."""
 
     about: float | None = None
-    """RMS distance from the exact motion over Gaussians and frames, relative to the size."""
+    """RMS distance from the exact motion, relative to the object's size."""
     at_most: float | None = None
-    """Upper bound of the RMS distance from the exact motion, as a fraction of the object's size."""
+    """Upper bound of the RMS distance, relative to the object's size."""
     until: float | None = None
-    """Time after which the motion depends on the grid [s]; None if there is no such time.
-
-    The estimated error holds only for the frames before this time.
+    """Time after which the motion depends on the grid [s]; the error holds only before this
+    time.
     """
     cells: int | None = None
-    """Cells across the object in the companion run; None if there is no companion run."""
+    """Cells across the object in the companion run."""
     cost: float | None = None
-    """Predicted time of the companion run, as a fraction of the time for the dynamics of the
-    original run."""
+    """Predicted time of the companion run, relative to the dynamics of the original run."""
     why_not: str = ""
-    """Reason why the error was not estimated."""
+    """Reason why there is no estimate."""
 
 
 class Lost(Exception):
-    """Raised if a companion run ends early; the message states the reason."""
+    """Raised if a companion run ends early."""
 
 
 def with_own_error(
     run: Simulation, clip: Clip, *, omit: str = "", goal: Mapping[str, Any] | None = None
 ) -> Clip:
-    """Return the clip of a run, with the estimated error of the run in the clip's report.
+    """Return the clip of a run, with the estimated error in its report.
 
     Args:
         run: The run.
         clip: The clip of the run.
-        omit: Reason to omit the companion run. If empty, the run is made if it takes little time.
+        omit: Reason to omit the companion run; empty: the run is made if it takes little time.
         goal: The entry `goal` of the report, if `--max-error` already measured the error.
     """
     omit = omit or why_broken(clip.report).rstrip(".")
@@ -179,7 +163,6 @@ def with_own_error(
 
 
 def _measured_for(goal: Mapping[str, Any]) -> OwnError:
-    """Return the error that `--max-error` measured on several grids."""
     error = goal["fraction"]
     if error is None:
         return OwnError(why_not=goal["why_not"].rstrip("."))
@@ -188,10 +171,6 @@ def _measured_for(goal: Mapping[str, Any]) -> OwnError:
 
 def measure_error(run: Simulation, clip: Clip) -> OwnError:
     """Estimate the error of a finished run, unless the companion run would take too long.
-
-    Args:
-        run: The run.
-        clip: The clip of the run.
 
     Raises:
         Lost: The companion run was interrupted, or failed.
@@ -215,28 +194,19 @@ def measure_error(run: Simulation, clip: Clip) -> OwnError:
 
 
 def coarsen(scene: Scene) -> Scene:
-    """Return the scene of the companion run, which has fewer cells across the object."""
+    """Return the scene of the companion run."""
     cells = max(round(RATIO * scene.resolution.cells), COARSEST)
     accuracy = scene.resolution.model_copy(update={"cells": cells, "solver": scene.solver})
     return scene.model_copy(update={"accuracy": accuracy, "binding": "lattice"})
 
 
 def affordable(run: Simulation) -> float:
-    """Return the largest predicted time of a companion run that is still made.
-
-    The unit is the time of the dynamics in the original run.
-    """
+    """Return the largest predicted time of a companion run, relative to the original dynamics."""
     return AFFORDABLE * (ON_LATTICE if run.scene.on_lattice else 1.0)
 
 
 def forecast(run: Simulation, substeps: int, particles: int | None = None) -> float:
-    """Return the ratio of the companion run's CPU time to the CPU time of the original dynamics.
-
-    Args:
-        run: The run.
-        substeps: Number of substeps of the run.
-        particles: Number of particles in the companion run; if None, the number is estimated.
-    """
+    """Return the time of the companion run, relative to the original dynamics."""
     kind = run.scene.solver if run.device == "cpu" else "cuda"
     (rates, bare), (once, each, point) = RATES[kind], PREPARING[kind]
     if particles is None:
@@ -260,9 +230,7 @@ def count_particles(setup: Setup) -> int:
 
 
 def factors_of(scene: Scene, cells: int) -> Factors:
-    """Return the factors for a scene whose companion run has this number of cells across the
-    object.
-    """
+    """Return the factors for a scene and the cells across the object in its companion run."""
     keys = [
         section.law if section.law in FACTORS else motion_of(scene) for section in scene.materials
     ]
@@ -275,16 +243,14 @@ def factors_of(scene: Scene, cells: int) -> Factors:
 def estimate(
     distances: NDArray, times: NDArray, factors: Factors, expected: float | None = None
 ) -> tuple[float | None, float | None, float | None]:
-    """Estimate a run's error, its error bound, and the time until which both hold.
-
-    The three values are those of `OwnError`.
+    """Estimate the first three values of `OwnError`.
 
     Args:
         distances: RMS distance between the two runs in each frame [T], relative to the size.
         times: Times of the frames [T], s.
         factors: Ratios of the error to the distance between the runs.
-        expected: Error bound that was predicted before the run, as a fraction of the object's size;
-            None if there was no prediction.
+        expected: Error bound predicted before the run, relative to the object's size; None: no
+            prediction.
     """
     together = np.flatnonzero(distances <= PARTED)
     count = int(together[-1]) + 1 if len(together) else 0
@@ -297,7 +263,6 @@ def estimate(
 
 
 def _compare(run: Simulation, clip: Clip, scene: Scene, indices: NDArray[np.int64]) -> OwnError:
-    """Make the companion run, and return the estimated error of the original run."""
     cells = scene.resolution.cells
     try:
         companion = _prepare(run.setup, scene)
@@ -315,7 +280,6 @@ def _compare(run: Simulation, clip: Clip, scene: Scene, indices: NDArray[np.int6
 
 
 def _prepare(setup: Setup, scene: Scene) -> Setup:
-    """Return the setup of a companion run, without observers and without deforming Gaussians."""
     progress = setup.context.progress
     threads = count_threads(setup)
     context = RunContext(setup.context.device, threads, lambda *_: progress("companion", 0, 1))
@@ -324,13 +288,13 @@ def _prepare(setup: Setup, scene: Scene) -> Setup:
 
 
 def _sample(setup: Setup) -> NDArray[np.int64]:
-    """Return the indices of the moving Gaussians to compare, excluding grains."""
+    """Return the moving Gaussians to compare, without grains."""
     moving = np.flatnonzero(setup.appearance.moves[: len(setup.gaussians)])
     return moving[np.linspace(0, len(moving) - 1, min(SAMPLE, len(moving))).astype(np.int64)]
 
 
 def _distances(setup: Setup, clip: Clip, indices: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Make the companion run; return the RMS distances [T], m, between its frames and a clip's."""
+    """Make the companion run; return its RMS distances from a clip [T], m."""
     look = setup.appearance
     chosen = (np.cumsum(look.moves) - 1)[indices]
     limits: dict[str, Any] = {name: values[chosen] for name, values in look.limits().items()}

@@ -2,10 +2,9 @@
 
 The result at grid spacing h is modelled as u + h^p e + h^p s. The exact result u and the field e
 are common to all grids, and the scatter s is random. The results of two levels i and j then differ
-by about C abs(h_i^p - h_j^p), with a constant C. The order p is fitted to the logarithms of the
-distances between all pairs of levels. The fields u and e are fitted to all levels by least squares
-with weights h^-2p (Eca, Hoekstra 2014). The error of a level is h^p e + h^p s (Richardson 1911;
-Roache 1998). Only the distances between the levels are needed.
+by about C abs(h_i^p - h_j^p), to which the order p is fitted. The fields u and e are fitted by
+least squares with weights h^-2p (Eca, Hoekstra 2014). The error of a level is h^p e + h^p s
+(Richardson 1911; Roache 1998).
 """
 
 from collections.abc import Sequence
@@ -16,52 +15,47 @@ import numpy as np
 from numpy.typing import NDArray
 
 ORDERS = (0.5, 3.0)
-"""Smallest and largest order of convergence that is searched for."""
 TRUSTED = (1.0, 2.0)
-"""Range of convergence orders that may be used to estimate errors.
+"""Range of orders that may be used to estimate errors.
 
 Free surfaces converge with first order, and the interior with second order. On grids that are too
-coarse, the measured order is below 1, and errors estimated with this order are unreliable.
+coarse, errors estimated with the measured order are unreliable.
 """
 SAFETY = 1.25
 """Factor on the errors if the order is outside `TRUSTED` by more than `NEAR` (Roache 1998)."""
 NEAR = 0.1
 AGREE = 1e-5
-"""Two results count as equal if the distance between them is at most this value, in the unit of the
-results."""
+"""Largest distance between results that count as equal."""
 
 
 @dataclass(frozen=True)
 class Convergence:
-    """Order of convergence and errors of grids (levels), from distances between their results."""
+    """Order of convergence and errors of grids (levels)."""
 
     order: float | None
-    """Observed order of convergence. It is None if the results on the grids do not converge, or if
-    they all agree."""
+    """Observed order; None without convergence, or if all results agree."""
     errors: tuple[float, ...] = ()
-    """Estimated error on each grid, in the unit of the distances; empty without an estimate."""
+    """Estimated error on each grid, or empty."""
     why_not: str = ""
-    """Reason why there is no estimate of the errors."""
     note: str = ""
-    """Remark on the estimated errors, such as the reason why they are only rough."""
+    """Remark, such as the reason why the errors are rough."""
     exact: tuple[float, ...] = ()
-    """Weights of the grids' results in the extrapolated result; the weights sum to 1."""
+    """Weights of the grids' results in the extrapolated result, with the sum 1."""
     inside: float = 0.0
-    """Mean, weighted by `exact`, of the square distances between the grids' results and the
-    extrapolated result."""
+    """Mean square distance of the grids' results from the extrapolated result, weighted by
+    `exact`.
+    """
     factor: float = 1.0
-    """Safety factor by which the errors are multiplied."""
+    """Safety factor on the errors."""
 
     @property
     def error(self) -> float | None:
-        """Estimated error on the finest grid; None if there is no estimate."""
+        """Estimated error on the finest grid, or None."""
         return self.errors[-1] if self.errors else None
 
     def error_of(self, apart: NDArray) -> float | None:
-        """Estimate the error of a result from its distances to the results on all grids [L].
-
-        Returns:
-            The error, or None if there is no extrapolated result.
+        """Estimate the error of a result from its distances to the results on all grids [L]; None
+        without an extrapolated result.
         """
         if not self.exact:
             return None
@@ -70,22 +64,15 @@ class Convergence:
 
 
 def fit_order(spacings: Sequence[float], errors: Sequence[float]) -> float:
-    """Return the order of convergence of grids whose errors are known.
-
-    The order is the slope of a straight line, fitted by least squares, in a log-log plot of the
-    error over the spacing.
-    """
+    """Return the order of convergence of grids with known errors: the slope in a log-log plot."""
     return float(np.polyfit(np.log(spacings), np.log(np.abs(errors)), 1)[0])
 
 
 def richardson(spacings: Sequence[float], apart: NDArray, *, agree: float = AGREE) -> Convergence:
-    """Estimate the order of convergence and the error on each grid, from three or more grids.
+    """Estimate the order of convergence and the errors, from three or more grids.
 
-    Args:
-        spacings: Grid spacings, from coarse to fine [L].
-        apart: Distance between the results of each pair of levels [L,L].
-        agree: Levels count as equal if the distance between them is at most this value. If all
-            levels are equal, the error is the largest distance between them.
+    `spacings` [L] are ordered from coarse to fine, `apart` [L,L] are the distances between results.
+    Distances up to `agree` count as zero.
     """
     h, levels = np.array(spacings), len(spacings)
     if levels < 3:
@@ -114,21 +101,14 @@ def richardson(spacings: Sequence[float], apart: NDArray, *, agree: float = AGRE
 def longest_convergence(
     spacings: Sequence[float], clips: Sequence[NDArray], size: float = 1.0
 ) -> tuple[Convergence, int]:
-    """Estimate the errors on several grids from the initial part of the clips.
+    """Estimate the errors from the longest initial part of clips that converges.
 
-    The longest part is used in which the results on finer grids converge.
-
-    The motions on two grids may become different, for example if the object topples on only one of
-    the grids. As long as the motions agree, the results on finer grids converge.
-
-    Args:
-        spacings: Grid spacings, from coarse to fine [L].
-        clips: Positions [F,N,3] of the same points on each level.
-        size: Length by which all distances are divided.
+    Later, the motions on two grids may differ, for example if the object topples on only one of
+    them.
 
     Returns:
-        The convergence, and the number of frames for which it holds. If the levels converge in no
-        initial part, the result for all frames is returned.
+        The convergence, and the number of its frames; without convergence, the result for all
+        frames.
     """
     frames = len(clips[0])
     square = np.zeros((frames, len(clips), len(clips)))
@@ -148,7 +128,7 @@ def longest_convergence(
 
 
 def _observe_order(h: NDArray, apart: NDArray) -> float:
-    """Return the order p for which C |h_i^p - h_j^p| best fits the distances of pairs of grids."""
+    """Return the order p for which C |h_i^p - h_j^p| best fits the distances."""
     orders, pairs = np.linspace(*ORDERS, 251), np.triu_indices(len(h), 1)
     power = h[:, None] ** orders
     ratio = np.log(apart[pairs][:, None] / (power[pairs[0]] - power[pairs[1]]))
@@ -156,7 +136,7 @@ def _observe_order(h: NDArray, apart: NDArray) -> float:
 
 
 def _fit(h: NDArray, apart: NDArray, p: float) -> Convergence:
-    """Fit the model u + h^p e to the results on the grids of spacing h, for a fixed order p."""
+    """Fit the model u + h^p e for a fixed order p."""
     power = h**p
     columns = np.stack([np.ones(len(h)), power], axis=1)
     weighted = columns / power[:, None] ** 2
@@ -169,9 +149,9 @@ def _fit(h: NDArray, apart: NDArray, p: float) -> Convergence:
 
 
 def _squares(rows: NDArray, apart: NDArray) -> NDArray[np.float64]:
-    """Return the mean squares [K] of K linear combinations of the L results.
+    """Return the mean squares [K] of linear combinations of the results.
 
-    Each row of `rows` [K,L] contains the weights of one combination, which sum to 0.
+    Each row of `rows` [K,L] contains weights with the sum 0.
     """
     return np.maximum(-0.5 * np.einsum("ki,ij,kj->k", rows, apart**2, rows), 0.0)
 
@@ -188,10 +168,7 @@ def distances(results: Sequence[NDArray]) -> NDArray[np.float64]:
 def guess_errors(
     spacings: tuple[float, float], difference: float, order: float
 ) -> tuple[float, float]:
-    """Return the errors on two grids (coarse, fine) from the distance of their results.
-
-    The order of convergence is assumed.
-    """
+    """Return the errors on two grids (coarse, fine) for an assumed order."""
     coarse, fine = (h**order for h in spacings)
     error = difference * fine / (coarse - fine)
     return error + difference, error

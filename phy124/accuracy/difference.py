@@ -1,7 +1,4 @@
-"""Measures the difference between two clips of the same Gaussians.
-
-The difference is stated in metres, relative to the object's size, in pixels, and as PSNR and SSIM.
-"""
+"""Measures the difference between two clips of the same Gaussians."""
 
 import math
 from dataclasses import dataclass
@@ -21,33 +18,27 @@ class Difference:
     """Distances between the Gaussians' centres in two clips, and differences of the videos."""
 
     metres: float
-    """RMS distance between the two clips over all Gaussians and frames [m]."""
+    """RMS distance over all Gaussians and frames [m]."""
     relative: float
-    """RMS distance between the two clips over all Gaussians and frames, as a fraction of the
-    object's size at rest.
-    """
+    """RMS distance, relative to the object's size at rest."""
     pixels: float
-    """RMS distance between the centres of the Gaussians in the two clips, in the image of the first
-    view [pixels].
-    """
+    """RMS distance in the image of the first view [pixels]."""
     worst_frame: int
     """Index of the frame with the largest RMS distance."""
     worst: float
-    """RMS distance in the frame `worst_frame`, as a fraction of the object's size at rest."""
+    """RMS distance in this frame, relative to the object's size at rest."""
     psnr: float
-    """PSNR of the videos of the first view [dB]; infinite if the videos are equal."""
+    """PSNR of the first view [dB]; infinite if the videos are equal."""
     ssim: float
-    """Mean SSIM of the videos of the first view, -1 to 1."""
+    """Mean SSIM of the first view, -1 to 1."""
 
 
 def difference(clip: Clip, reference: Clip, view: View, *, device: str = "cpu") -> Difference:
-    """Compare two clips of one object frame by frame, ignoring grains.
-
-    Both clips must have frames at the same times.
+    """Compare two clips of one object with the same times, ignoring grains.
 
     Args:
         clip: The first clip.
-        reference: The second clip. Both clips are rendered with the camera of this clip.
+        reference: The second clip; its camera is used for both.
         view: The view settings.
         device: Warp device.
 
@@ -76,9 +67,7 @@ def difference(clip: Clip, reference: Clip, view: View, *, device: str = "cpu") 
 
 
 def pixel_distance(clip: Clip, reference: Clip, view: View) -> float:
-    """Return the RMS distance [pixels] between the centres of the Gaussians in the two clips, in
-    the image of the first view and over all frames.
-    """
+    """Return the RMS distance [pixels] between two clips in the image of the first view."""
     clip, reference, squares = clip.surface, reference.surface, []
     for index, camera in enumerate(cameras(reference, view, view.sides[0])):
         here, _ = camera.project(clip.means[index].astype(float))
@@ -92,7 +81,7 @@ def video(clip: Clip, framed: Clip, view: View, device: str = "cpu") -> NDArray[
 
     Args:
         clip: The clip.
-        framed: The clip for which the camera is chosen.
+        framed: The clip that determines the camera.
         view: The view settings.
         device: Warp device.
     """

@@ -1,11 +1,8 @@
 """Predicts the error of a scene before it runs, from a model fitted to measured errors.
 
-The logarithm of the error bound is linear in the logarithms of a few properties of the scene, of
-its grid and of its object (`properties`). The coefficients are sums over the groups to which the
-scene belongs (`groups`), such as its kind of motion and its material law. tests/benchmarks/zoo.py
-measures the errors, and tests/benchmarks/expectations.py fits the model and writes measured.json.
-
-There is no prediction for a scene if no similar scene was measured.
+The logarithm of the error bound is linear in the logarithms of a few `properties`. The coefficients
+are sums over `groups` of scenes. tests/benchmarks/zoo.py measures the errors, and
+tests/benchmarks/expectations.py fits the model and writes measured.json.
 """
 
 import json
@@ -36,81 +33,67 @@ WORDS: dict[Motion, str] = {
     "held": "held at a part of it",
     "free": "touching nothing",
 }
-"""Descriptions of the kinds of motion, for messages."""
 ON_LATTICE = ", on a lattice"
-"""Text that is appended to the name of a kind of scene or of a feature if lattices are used."""
 MARGIN = 1.25
-"""A property of a scene may exceed the property's largest measured value by at most this factor."""
+"""Factor by which a property may exceed the largest measured value."""
 NEARBY = 0.02
-"""Maximum amount by which Poisson's ratio may exceed the measured range."""
+"""Amount by which Poisson's ratio may exceed the measured range."""
 HARDER = {
     "violence": "with so fast a motion or so soft a material",
     "yielding": "with so large a plastic deformation",
 }
-"""Descriptions of scenes in which a property exceeds the measured range, by property."""
+"""Descriptions of properties above the measured range."""
 THINNEST = 0.7
-"""Thickness of an object, in cells, below which the error no longer depends on the thickness."""
+"""Thickness [cells] below which the error no longer depends on the thickness."""
 SOLID = Proportions(thickness=1.0, compliance=0.1)
-"""Proportions of an object that is so thick that its thickness does not affect the error."""
+"""Proportions of a thick object."""
 STIFFEST, SOFTEST = 0.02, 100.0
-"""Smallest and largest compliance of an object between which the error depends on the compliance.
-"""
+"""Range of the compliance in which the error depends on it."""
 
 
 class Expectation(NamedTuple):
     """The predicted error of a scene, or the reason why there is none."""
 
     error: float | None
-    """Bound on the RMS distance of the Gaussians from the exact motion, as a fraction of the
-    object's size."""
+    """Bound on the RMS distance from the exact motion, relative to the object's size."""
     unmeasured: str = ""
-    """The kind of the scene, if no scene of this kind was measured; otherwise empty."""
+    """Kind of the scene, if no scene of this kind was measured."""
     such: str = ""
-    """Description of the measured objects' constitutive law and kind of motion."""
+    """Law and kind of motion of the measured objects."""
     objects: int = 0
-    """Number of measured objects with this law and kind of motion."""
+    """Number of measured objects."""
     length: float = math.inf
-    """Duration of the longest measured scene, in units of sqrt(size / 9.81 m/s^2)."""
+    """Longest measured scene, in units of sqrt(size / 9.81 m/s^2)."""
 
 
 def law_of(scene: Scene) -> str:
-    """Return a scene's constitutive law, or "elastic" for laws without plastic or viscous flow."""
+    """Return a scene's law, or "elastic" for laws without plastic or viscous flow."""
     sections = scene.materials
     laws = {"elastic" if isinstance(each, Springy) else each.law for each in sections}
     return " and ".join(sorted(laws))
 
 
 def kind_of(scene: Scene) -> str:
-    """Return the constitutive law and the kind of motion of a scene, such as "elastic landing".
-
-    The kind of a scene on lattices begins with "lattice": "lattice elastic landing".
-    """
+    """Return law and kind of motion, such as "elastic landing" or "lattice elastic landing"."""
     kind = f"{law_of(scene)} {motion_of(scene)}"
     return f"lattice {kind}" if scene.on_lattice else kind
 
 
 def groups(scene: Scene) -> list[str]:
-    """Return the names of the groups of scenes to which a scene belongs.
-
-    The model of the error adds up one coefficient for each group.
-    """
+    """Return the groups to which a scene belongs; the model adds up one coefficient for each."""
     motion, law = motion_of(scene), law_of(scene)
     names = ["all", motion, law, f"{law} {motion}", *features(scene)]
     return [*names, "lattice", kind_of(scene)] if scene.on_lattice else names
 
 
 def name_features(scene: Scene) -> list[str]:
-    """Return the names of the scene's special features, each with the solver that simulates the
-    feature.
-
-    A prediction needs measurements of all features that are returned.
-    """
+    """Return the features that need measurements, with the solver."""
     names = features(scene)
     return [f"{name}{ON_LATTICE}" for name in names] if scene.on_lattice else names
 
 
 def features(scene: Scene) -> list[str]:
-    """Return the special features of a scene, such as forces on regions and moving walls."""
+    """Return the special features of a scene, such as moving walls."""
     forces = [force for force in scene.acting if force.kind not in ("gravity", "acceleration")]
     names = {f"a force of the kind {force.kind}" for force in forces}
     if any(force.region is not None for force in scene.acting):
@@ -130,12 +113,7 @@ def features(scene: Scene) -> list[str]:
 
 
 def properties(scene: Scene, proportions: Proportions) -> dict[str, float]:
-    """Return the properties of a scene that determine its error.
-
-    Args:
-        scene: The scene.
-        proportions: Proportions of the scene's object.
-    """
+    """Return the properties that determine the error of a scene."""
     cells, thickness = scene.resolution.cells, proportions.thickness
     return {
         "cells": float(cells),
@@ -150,7 +128,7 @@ def properties(scene: Scene, proportions: Proportions) -> dict[str, float]:
 
 
 def regressors(values: Mapping[str, float]) -> dict[str, float]:
-    """Compute the terms of the linear model from the properties of a scene."""
+    """Return the terms of the linear model."""
     return {
         "one": 1.0,
         "cells": math.log(values["cells"] / 32),
@@ -168,13 +146,7 @@ def regressors(values: Mapping[str, float]) -> dict[str, float]:
 def expect(
     scene: Scene, proportions: Proportions | None, model: Mapping[str, Any] | None = None
 ) -> Expectation:
-    """Predict the error bound of a scene.
-
-    Args:
-        scene: The scene.
-        proportions: Proportions of the scene's object; None if they are unknown.
-        model: The coefficients and the measured ranges; if None, measured.json is used.
-    """
+    """Predict the error bound of a scene; without `model`, from measured.json."""
     model = model or table()
     law, motion = law_of(scene), motion_of(scene)
     solver = ON_LATTICE if scene.on_lattice else ", by MPM" if "elastic" in law else ""
@@ -202,14 +174,14 @@ def expect(
 def predict(
     coefficients: Mapping[str, Mapping[str, float]], names: list[str], values: Mapping[str, float]
 ) -> float:
-    """Return the error bound of a scene, as a fraction of the object's size."""
+    """Return the error bound, relative to the object's size."""
     terms = regressors(values)
     each = (coefficients.get(name, {}) for name in names)
     return math.exp(sum(c * terms[term] for group in each for term, c in group.items()))
 
 
 def _clamp(values: Mapping[str, float], measured: Mapping[str, Any]) -> dict[str, float]:
-    """Limit the properties to their measured ranges, so that the model never extrapolates."""
+    """The model must never extrapolate."""
     return {
         name: min(max(value, measured[name][0]), measured[name][1])
         for name, value in values.items()
@@ -217,9 +189,7 @@ def _clamp(values: Mapping[str, float], measured: Mapping[str, Any]) -> dict[str
 
 
 def _describe_beyond(scene: Scene, known: Sequence[str]) -> str:
-    """Describe a feature of the scene for which no errors were measured; return "" if there is
-    none.
-    """
+    """Describe a feature without measured errors, or return ""."""
     if scene.stiffness is not None or scene.properties is not None:
         return "materials that vary from point to point"
     accuracy = scene.resolution
@@ -234,10 +204,8 @@ def _describe_beyond(scene: Scene, known: Sequence[str]) -> str:
 def _describe_outside(
     scene: Scene, values: Mapping[str, float], measured: Mapping[str, Any]
 ) -> str:
-    """Describe a property of the scene outside the measured range; return "" if there is none.
-
-    A value that makes the error smaller is not reported, but replaced by the nearest measured
-    value.
+    """Describe a property outside the measured range, or return "". Values that make the error
+    smaller are not reported.
     """
     for name, words in HARDER.items():
         if values[name] > MARGIN * measured[name][1]:
@@ -258,6 +226,6 @@ def _describe_outside(
 
 @cache
 def table() -> dict[str, Any]:
-    """Return the content of measured.json: coefficients, measured ranges, and their source."""
+    """Return the content of measured.json."""
     file = resources.files("phy124") / "accuracy" / "measured.json"
     return json.loads(file.read_text("utf-8"))

@@ -1,10 +1,8 @@
 """Forecasts the time of a run before it starts.
 
 The time [s] is substeps * (a * particles + b * nodes) + frames * (shapes + views * pictures). The
-rates a and b are measured in trial runs of 20 substeps, after which the solver is reset to its
-initial state. The number of substeps comes from a pilot run on a coarse grid
-(`phy124.accuracy.probe`). The times for shapes, rendering and video are measured on a few frames.
-The forecast is less reliable if the particles' speed limits the substep.
+rates a and b are measured in trial runs, and the number of substeps in a pilot run on a coarse grid
+(`phy124.accuracy.probe`). The forecast is less reliable if the particles' speed limits the substep.
 """
 
 from __future__ import annotations
@@ -39,46 +37,43 @@ from phy124.simulation import Simulation, prepare
 SPEED_UP = 0.72
 """Increase of the speed-up with each additional thread."""
 GROWTH = 2.5
-"""The time of a companion run is assumed to grow with this power of the cells across the object."""
+"""Exponent of the cells in the time of a companion run."""
 UNSURE = 0.1
-"""A forecast is reliable if the particles' speed limits at most this fraction of the substeps."""
+"""Largest fraction of substeps limited by speed in a reliable forecast."""
 GUESS = 1.14
-"""Factor that widens the range of the predicted time if the forecast is not reliable."""
+"""Factor on the range of an unreliable forecast."""
 ON_DEVICE = ("simulate", "deform", "render")
-"""Names of the stages that run on the GPU, if there is a GPU."""
+"""Stages that run on the GPU, if there is one."""
 REMEMBERED = 32
-"""Maximum number of stored forecasts and measurements; a new entry replaces the oldest entry."""
+"""Largest number of stored forecasts and measurements."""
 
 
 @dataclass(frozen=True)
 class Forecast:
-    """The predicted time of each stage of a run, with the counts and rates of the prediction."""
+    """The predicted time of each stage of a run."""
 
     stages: dict[str, float]
     """Predicted time of each stage [s], by the names in the report."""
     measured: tuple[str, ...]
-    """Names of finished stages, whose times in `stages` were measured."""
+    """Finished stages, whose times were measured."""
     particles: int
     nodes: int
-    """Mean number of grid nodes over the run."""
     substeps: int
     limiters: dict[str, float]
-    """For each stability limit, the fraction of the substeps whose length this limit determines."""
+    """Fraction of the substeps that each stability limit determines."""
     rates: SubstepCost
     memory: float = 0.0
-    """Estimated memory of the run (`phy124.budget.limits`) [bytes]."""
+    """Estimated memory of the run [bytes]."""
     caveat: str | None = None
     """Reason why the predicted time is not reliable, or None."""
     load: Load = QUIET
-    """Load by other programs on this machine during the trial runs."""
     proportions: Proportions | None = None
-    """Proportions of the objects; None if they are unknown."""
+    """Proportions of the objects, or None if unknown."""
     device: str = "cpu"
-    """Device on which the run is computed."""
 
     @property
     def span(self) -> tuple[float, float]:
-        """Expected range of the total time (shortest, longest) [s]."""
+        """Expected shortest and longest total time [s]."""
         done = sum(self.stages[name] for name in self.measured if name in self.stages)
         low, high = self.load.span(self.seconds - done, unsure=GUESS if self.caveat else 1.0)
         return done + low, done + high
@@ -89,22 +84,16 @@ class Forecast:
         return sum(self.stages.values())
 
     def with_measured(self, name: str, seconds: float) -> Forecast:
-        """Return the forecast, updated with the measured time [s] of a finished stage."""
+        """Return the forecast with the measured time [s] of a finished stage."""
         return replace(self, stages={name: seconds, **self.stages}, measured=(*self.measured, name))
 
     def with_predicted(self, name: str, seconds: float, caveat: str) -> Forecast:
-        """Return the forecast with an additional first stage, whose time is not reliable.
-
-        Args:
-            name: Name of the stage.
-            seconds: Predicted time of the stage [s].
-            caveat: Reason why this time is not reliable.
-        """
+        """Return the forecast with another first stage, whose time [s] is unreliable."""
         caveats = " ".join(filter(None, (self.caveat, caveat)))
         return replace(self, stages={name: seconds, **self.stages}, caveat=caveats)
 
     def lines(self) -> list[str]:
-        """Format the forecast as lines of text, one for each stage and then a summary."""
+        """Return a line of text for each stage, and a summary."""
         made = [
             f"  {name:<12}{seconds:8.2f} s{'  (measured)' if name in self.measured else ''}"
             for name, seconds in self.stages.items()
@@ -121,7 +110,7 @@ class Forecast:
         return [*made, total, about, *filter(None, notes)]
 
     def _note_other_stages(self) -> str | None:
-        """Return a note if a run on a GPU spends most of its time in stages that run on the CPU."""
+        """Return a note if a run on a GPU spends most of its time on the CPU."""
         others = {n: s for n, s in self.stages.items() if n not in ON_DEVICE}
         if self.device == "cpu" or 2 * sum(others.values()) < self.seconds:
             return None
@@ -134,11 +123,11 @@ class Forecast:
         )
 
     def data(self) -> dict[str, Any]:
-        """Return the forecast as plain data for scripts."""
+        """Return plain data for scripts."""
         return {**asdict(self), "seconds": self.seconds, "span": self.span}
 
     def compare(self, spent: Mapping[str, float]) -> dict[str, Any]:
-        """Compare the predicted with the measured times `spent` [s], by stage and in total."""
+        """Compare predicted and measured times `spent` [s], by stage and in total."""
         predicted = {n: s for n, s in self.stages.items() if n not in self.measured and n in spent}
         rows = {
             name: {
@@ -163,27 +152,24 @@ class Forecast:
 
 @dataclass(frozen=True)
 class Stop:
-    """The predicted time and error of a run for one position of the accuracy slider."""
+    """Predicted time and error for one position of the accuracy slider."""
 
     name: str
     seconds: float
     """Predicted time from the Gaussians to the finished files [s]."""
     promise: Promise
-    """The error bound, or the reason why there is none."""
     pixels: float | None
-    """The error bound in the video [pixels]; None if there is no bound."""
+    """Error bound in the video [pixels], or None."""
     caveat: str | None = None
     """Reason why the predicted time is not reliable, or None."""
     forecast: Forecast | None = None
-    """The forecast of the time; None if no trial runs were made."""
+    """Forecast of the time; None without trial runs."""
 
     @classmethod
     def of(
         cls, scene: Scene, seconds: float, promise: Promise, forecast: Forecast | None = None
     ) -> Stop:
-        """Return the position of the accuracy slider for a scene, with the scene's time and error.
-
-        The scene must use one of the named accuracies.
+        """Return the position of the slider for a scene with a named accuracy.
 
         Args:
             scene: The scene.
@@ -197,18 +183,18 @@ class Stop:
 
     @property
     def error(self) -> float | None:
-        """Error bound as a fraction of the object's size; None if there is no bound."""
+        """Error bound relative to the object's size, or None."""
         return self.promise.error
 
 
 @dataclass
 class Forecaster:
-    """Forecasts the times of runs on a device, and stores measurements for later forecasts."""
+    """Forecasts the times of runs on a device, and stores measurements."""
 
     context: RunContext = field(default_factory=RunContext)
-    """Device and threads of the runs; progress and stopwatch are not used."""
+    """Only device and threads are used."""
     error: bool = True
-    """Whether the forecasts include the time in which each run estimates its error."""
+    """Whether the forecasts include the estimate of the error."""
     _known: dict[Any, Any] = field(default_factory=dict, repr=False)
     _meter: LoadMeter = field(init=False, repr=False)
 
@@ -216,12 +202,7 @@ class Forecaster:
         self._meter = LoadMeter(self.context.device)
 
     def forecast(self, gaussians: Gaussians, scene: Scene, *, crop: Crop = WHOLE) -> Forecast:
-        """Forecast the time of a run: create the scene's particles, then make trial runs.
-
-        Args:
-            gaussians: The object.
-            scene: The scene.
-            crop: Rectangle of the object in the picture on which the masks of parts were painted.
+        """Forecast the time of a run of a scene, with its particles.
 
         Raises:
             InputError: A simulation of the scene cannot be prepared; see `Simulation`.
@@ -244,9 +225,9 @@ class Forecaster:
         Args:
             simulation: The simulation.
             filming: Whether the clip will be rendered to videos.
-            error: Whether this run will estimate its error. The forecast includes the time for this
-                only if the forecaster's `error` is also set.
-            load: Load by other programs; if None, the load is measured.
+            error: Whether this run will estimate its error; the forecaster's `error` must also be
+                set.
+            load: Load by other programs; None: measured now.
         """
         scene = simulation.scene
         pilot = self._pilot(simulation)
@@ -288,7 +269,7 @@ class Forecaster:
         )
 
     def stops(self, gaussians: Gaussians, scene: Scene) -> dict[str, Stop]:
-        """Return the predicted time and the error bound for accuracies draft, standard and fine."""
+        """Return time and error bound for the named accuracies."""
         return {name: self._stop(name, gaussians, scene) for name in get_args(AccuracyName)}
 
     def _stop(self, name: AccuracyName, gaussians: Gaussians, scene: Scene) -> Stop:
@@ -309,16 +290,15 @@ class Forecaster:
         return self._remember(key, lambda: run_pilot(gaussians, scene, self.context, **options))
 
     def _filming(self, gaussians: Gaussians, scene: Scene) -> dict[str, float]:
-        """Return the predicted times of rendering, encoding and saving [s]."""
         view = scene.view
         key = ("film", len(gaussians), view, scene.time.frames)
         return self._remember(key, lambda: time_film(gaussians, scene, self.context))
 
     def _remember(self, key: Any, make: Any, keep: Any = None) -> Any:
-        """Return the stored value for a key; if the value is missing, compute and store it.
+        """Return the stored value for a key, or compute and store the value.
 
-        If the key contains the `id` of a Python object, pass this object as `keep`. While the
-        object is stored, no other object can get the same id.
+        An object whose `id` is in the key must be passed as `keep`, so that no other object gets
+        the same id.
         """
         if key not in self._known:
             while len(self._known) >= REMEMBERED:
@@ -333,7 +313,7 @@ def speed_up(threads: int) -> float:
 
 
 def _sample(gaussians: Gaussians) -> tuple[int, bytes]:
-    """Return the number of Gaussians and a few positions, for use as a cache key."""
+    """Return the number of Gaussians and a few positions, as a cache key."""
     return len(gaussians), gaussians.means[:: max(1, len(gaussians) // 64)].tobytes()
 
 
@@ -346,7 +326,7 @@ def pixels_per_size(scene: Scene) -> float:
 
 
 def _physics(scene: Scene) -> str:
-    """Return, as JSON, the fields of a scene that determine the run's time."""
+    """Return the fields of a scene that determine the run's time."""
     return scene.model_dump_json(exclude={"description", "seed"})
 
 

@@ -1,4 +1,4 @@
-"""Defines the goal of a run: a maximum error or a maximum time."""
+"""The goal of a run: a maximum error or a maximum time."""
 
 from __future__ import annotations
 
@@ -20,10 +20,9 @@ UNIT: dict[Kind, Callable[[Scene], float]] = {
     "fraction": lambda scene: 1.0,
     "metres": lambda scene: scene.object.size,
 }
-"""Functions that return the object's size in the goal's unit, by kind of goal."""
+"""Object size in the goal's unit."""
 MARGIN = 0.95
-"""Maximum predicted time as a fraction of the goal's maximum time, since forecasts err by a few
-%."""
+"""Largest predicted time, relative to the goal's time; forecasts err by a few %."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +31,7 @@ class Goal:
 
     kind: Kind
     value: float
-    """Maximum value, in pixels of the first view, fractions of the object's size, m or s."""
+    """Largest value, in pixels of the first view, fractions of the size, m or s."""
     text: str
 
     @classmethod
@@ -58,7 +57,7 @@ class Goal:
 
     @classmethod
     def time(cls, seconds: float) -> Goal:
-        """Return the goal that limits the total time of the run [s].
+        """Return a limit of the total time [s].
 
         Raises:
             InputError: The time is not a positive number.
@@ -70,14 +69,14 @@ class Goal:
 
 
 def format_error(kind: Kind, value: float) -> str:
-    """Format an error with the unit of the goal's kind: "1.8 px", "0.84 %", "3.4 mm"."""
+    """Format an error: "1.8 px", "0.84 %", "3.4 mm"."""
     if kind == "pixels":
         return f"{value:.1f} px"
     return format_percent(value) if kind == "fraction" else f"{value * 1000:.2g} mm"
 
 
 def describe_goal(goal: Mapping[str, Any], seconds: float) -> str:
-    """Describe how a run of `seconds` met its goal, from the entry `goal` of the run's report."""
+    """Describe how a run of `seconds` met its goal, from its report."""
     target, grid = goal["target"], f"D/{goal['cells']}"
     if goal["unit"] == "seconds":
         return f"asked for at most {target}: {grid} takes {seconds:.1f} s"
@@ -91,16 +90,14 @@ def describe_goal(goal: Mapping[str, Any], seconds: float) -> str:
 def explain_time(
     goal: Goal, scene: Scene, cells: int, forecast: Forecast, ready: float
 ) -> InputError:
-    """Return the `InputError` for a maximum time that is too short even for the coarsest grid.
-
-    The message names the longest stage.
+    """Return the error for a time that is too short even for the coarsest grid.
 
     Args:
         goal: The maximum time.
         scene: The scene.
         cells: Cells across the object on the coarsest grid.
         forecast: Forecast of the run on the coarsest grid.
-        ready: Time that has already been used [s].
+        ready: Time that is already used [s].
     """
     minimum = math.ceil((forecast.seconds + ready) / MARGIN)
     stages = {"preparing": ready, **forecast.stages}
@@ -116,7 +113,6 @@ def explain_time(
 
 
 def _find_remedies(scene: Scene, stage: str) -> Iterator[Remedy]:
-    """Yield changes of the scene that make a stage faster."""
     if stage in ("render", "encode", "save") and len(scene.view.sides) > 1:
         yield Remedy(
             "view.views = front", {"view.views": ["front"], "view.azimuths": [], "view.cameras": []}
@@ -135,4 +131,3 @@ STAGES = {
     "encode": "the videos",
     "save": "saving",
 }
-"""For each stage of a run, by its name in the report: the description of the stage in messages."""

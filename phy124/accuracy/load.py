@@ -1,4 +1,4 @@
-"""Measures the load by other programs on this machine, and its effect on the time of a run."""
+"""Load by other programs on this machine, and its effect on the time of a run."""
 
 from __future__ import annotations
 
@@ -12,42 +12,38 @@ from dataclasses import dataclass
 from phy124.runtime.cores import cores
 
 SPIN = 0.3
-"""Duration of a load measurement [s]."""
+"""Duration of a measurement [s]."""
 ENOUGH = 0.2
-"""Minimum CPU time of a busy-waiting thread, in units of `SPIN`."""
+"""Smallest CPU time of a busy-waiting thread, in units of `SPIN`."""
 LONGEST = 4.0
-"""Maximum duration of a busy-waiting thread, in units of `SPIN`."""
+"""Longest duration of a busy-waiting thread, in units of `SPIN`."""
 BLOCK = bytes(1 << 18)
-"""Data whose checksum busy-waiting threads compute without Python's global lock."""
+"""Checksums of these data are computed without Python's global lock."""
 ALONE = 0.93
-"""A core is free if a thread gets at least this fraction of its time."""
+"""Smallest fraction of its time that a thread gets on a free core."""
 SECOND_THREAD = 1.5
-"""Factor by which a simulation takes longer if there is no free core for the second thread."""
+"""Factor on the time of a simulation without a free core for the second thread."""
 MINIMUM, MAXIMUM = 0.8, 1.5
-"""Range of the ratio of measured to predicted time on an idle machine (docs/lab/forecasts.md)."""
+"""Measured relative to predicted time on an idle machine (docs/lab/forecasts.md)."""
 BUSY = 1.2
-"""Factor that widens the range of the predicted time on a busy machine, where the load may change.
-"""
+"""Factor on the range of the predicted time on a busy machine."""
 FRESH = 10.0
-"""Maximum age at which a measurement of the load is reused [s]."""
+"""Largest age of a measurement that is reused [s]."""
 
 
 @dataclass(frozen=True)
 class Load:
-    """Factors by which other programs on this machine slow down a run."""
+    """Factors by which other programs slow down a run."""
 
     thread: float = 1.0
-    """Factor on the time of single-threaded work."""
+    """Factor for single-threaded work."""
     simulation: float = 1.0
-    """Factor on the time of a simulation."""
 
     @classmethod
     def measure(cls, device: str = "cpu") -> Load:
-        """Measure the current load by the fraction of a core that busy-waiting threads get.
+        """Measure the fraction of a core that busy-waiting threads get.
 
-        The measurement includes the effects of priorities, of a container's limits, of the
-        scheduler, and of other work in this process. On a GPU, the factors are 1, because the
-        load hardly affects the run.
+        On a GPU, the factors are 1, because the load hardly affects the run.
         """
         if device != "cpu":
             return cls()
@@ -57,11 +53,11 @@ class Load:
         return cls(thread, thread if free else SECOND_THREAD * thread)
 
     def of(self, stage: str) -> float:
-        """Return the factor by which this load lengthens a stage of a run."""
+        """Return the factor on the time of a stage."""
         return self.simulation if stage == "simulate" else self.thread
 
     def mean(self, other: Load) -> Load:
-        """Return the mean of two loads, for work that was done between their measurements."""
+        """Return the mean of two loads, for work between two measurements."""
         thread = (self.thread + other.thread) / 2
         return Load(thread, (self.simulation + other.simulation) / 2)
 
@@ -71,31 +67,25 @@ class Load:
         return self.simulation > 1
 
     def span(self, seconds: float, *, unsure: float = 1.0) -> tuple[float, float]:
-        """Return the expected range (shortest, longest) [s] of a run that is predicted to take
-        `seconds`.
+        """Return the shortest and longest time [s] of a run that is predicted to take `seconds`.
 
-        The range is widened by the factor `unsure`. Programs that start or end during the run are
-        not predicted.
+        The range is widened by `unsure`.
         """
         wider = unsure * (BUSY if self.busy else 1.0)
         return MINIMUM / wider * seconds, MAXIMUM * wider * seconds
 
 
 class LoadMeter:
-    """Measures the load on request, and reuses a measurement that is recent enough.
-
-    A measurement takes about 0.6 s.
-    """
+    """Measures the load, and reuses recent measurements; a measurement takes about 0.6 s."""
 
     def __init__(self, device: str = "cpu") -> None:
-        """Create the meter for a Warp device; the first measurement is taken later."""
         self.latest = Load()
-        """The last measured load; before the first measurement, the load of an idle machine."""
+        """The last load; at first, that of an idle machine."""
         self._device, self._measured = device, -math.inf
         self._measuring = threading.Lock()
 
     def load(self) -> Load:
-        """Return the load; measure the load if the last measurement is too old."""
+        """Return the load; measure it if the last measurement is too old."""
         if time.monotonic() > self._measured + FRESH:
             self.measure()
         return self.latest
@@ -109,7 +99,7 @@ class LoadMeter:
 
 
 def format_span(span: tuple[float, float]) -> str:
-    """Format a range of times [s]: "12 to 18 s", "1.5 to 2.3 min"."""
+    """Format a range of times [s], such as "12 to 18 s"."""
     low, high = span
     if high < 90:
         a, b = max(1, round(low)), max(1, round(high))
@@ -120,16 +110,12 @@ def format_span(span: tuple[float, float]) -> str:
 
 
 def _measure_fraction(threads: int) -> float:
-    """Return the mean fraction of a core that each of `threads` busy-waiting threads gets."""
     with ThreadPoolExecutor(threads) as pool:
         return sum(pool.map(_spin, [SPIN] * threads)) / threads
 
 
 def _spin(seconds: float) -> float:
-    """Return the fraction of a core that this thread gets while it busy-waits.
-
-    The thread waits for `seconds`, or longer if it has got too little CPU time for a measurement.
-    """
+    """Return the fraction of a core that this thread gets in `seconds` or longer."""
     start, start_cpu, passed, ran = time.perf_counter(), time.thread_time(), 0.0, 0.0
     while passed < seconds or (ran < ENOUGH * seconds and passed < LONGEST * seconds):
         zlib.crc32(BLOCK)
@@ -138,4 +124,4 @@ def _spin(seconds: float) -> float:
 
 
 QUIET = Load()
-"""The load that is assumed for an idle machine."""
+"""Load of an idle machine."""

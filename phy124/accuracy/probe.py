@@ -1,4 +1,4 @@
-"""Measures times for a forecast: substeps, deforming Gaussians, videos, and compiling kernels."""
+"""Measures times for a forecast: substeps, shapes, videos, and compilation."""
 
 from __future__ import annotations
 
@@ -39,55 +39,48 @@ if TYPE_CHECKING:
     from phy124.simulation.bodies import Placed
 
 PROBE = 20
-"""Maximum number of substeps in a short run that measures the time of a substep; large objects have
-fewer."""
+"""Largest number of substeps in a trial run."""
 MIN_PROBE = 6
-"""Minimum number of substeps in a short run that measures the time of a substep."""
+"""Smallest number of substeps in a trial run."""
 LONGEST_PROBE = 0.6
-"""Maximum total duration of the short runs that measure the time of a substep [s]."""
+"""Longest duration of all trial runs [s]."""
 ROUNDS = 5
-"""Maximum number of short runs that measure the time of a substep; their median is used."""
+"""Largest number of trial runs, whose median is used."""
 GRAPH_PROBE = (20, 120)
-"""Numbers of substeps in the two short runs that measure the time of a substep on a GPU.
+"""Numbers of substeps in two trial runs on a GPU.
 
-A substep on a GPU takes so little time that the fixed cost of a frame would dominate a single short
-run. The difference between the times of the two runs does not contain this fixed cost.
+A fixed cost of each frame would dominate a single run; the difference of two runs does not contain
+this cost.
 """
 FILMED = 2, 6
-"""Numbers of frames of two test videos, which separate the cost per video from the cost per
-frame."""
+"""Numbers of frames of two test videos, which separate the costs per video and per frame."""
 TRIES = 2
-"""Number of times that each measurement is made; the shortest time is used."""
+"""Number of repeated measurements; the shortest time counts."""
 SHORT_STEP = 1e-3
-"""Substep that is assumed [s] if the stable substep at rest is longer than `LONG_STEP`."""
+"""Assumed substep [s] above `LONG_STEP`."""
 LONG_STEP = 0.1
-"""Longest substep in the short runs that measure the time of a substep [s]. For a viscous liquid at
-rest, the stable substep may be minutes long until forces act."""
+"""Longest substep in trial runs [s]. The stable substep of a viscous liquid at rest may be minutes
+long.
+"""
 NODE_STAGES = ("clear", "grid")
-"""Stages of a substep whose time is proportional to the number of grid nodes. The time of the
-boundaries is proportional to this number, too."""
+"""Stages whose time is proportional to the number of nodes, as is the time of boundaries."""
 
 
 @dataclass(frozen=True)
 class SubstepCost:
-    """The time of a solver's substep on this machine, per particle and per grid node."""
+    """Time of a substep on this machine, per particle and per node."""
 
     particle: float
     """Time per particle and substep [s]."""
     node: float
-    """Time per grid node and substep [s]."""
+    """Time per node and substep [s]."""
 
 
 def probe(simulation: Simulation, pilot: Pilot | None = None) -> tuple[SubstepCost, int, float]:
     """Measure the time of a substep, the number of nodes, and the time of the checks per frame [s].
 
-    The simulation runs up to 20 substeps several times, with all checks of a frame, and is then
-    reset to its initial state.
-
-    Args:
-        simulation: The simulation.
-        pilot: A pilot run, whose stages correct the cost of substeps on lattices. If the pilot is
-            None, the cost is measured at rest.
+    The simulation is then reset to its initial state. With a pilot run, substeps on lattices are
+    not measured at rest.
     """
     solver, watchdog = simulation.solver, simulation.find(Watchdog)
     after = None if watchdog is None else watchdog.after_substep
@@ -112,16 +105,8 @@ def probe(simulation: Simulation, pilot: Pilot | None = None) -> tuple[SubstepCo
 def _seconds_per_substep(
     solver: AnySolver, after: Callable[[], None] | None, pilot: Pilot | None
 ) -> tuple[float, float, int]:
-    """Measure the time of a substep.
-
-    Args:
-        solver: The solver.
-        after: Function that is called after each substep.
-        pilot: A pilot run; if it is None, the time is measured at rest.
-
-    Returns:
-        The time of a substep [s], the fraction of it that is proportional to the number of nodes,
-        and the number of nodes.
+    """Return the time of a substep [s], its fraction that is proportional to the number of nodes,
+    and this number.
     """
     if isinstance(solver, Solver) and solver.on_device:
         return _seconds_in_graph(solver, after), 0.0, solver.grid.count
@@ -138,7 +123,7 @@ def _seconds_per_substep(
 
 
 def _seconds_in_graph(solver: AnySolver, after: Callable[[], None] | None) -> float:
-    """Measure the time of a substep in a CUDA graph [s], without the fixed cost of a frame."""
+    """Return the time of a substep in a CUDA graph [s], without the fixed cost of a frame."""
     few, more = GRAPH_PROBE
     _advance(solver, few, after)  # captures the CUDA graph
     taken, seconds = [], []
@@ -151,7 +136,6 @@ def _seconds_in_graph(solver: AnySolver, after: Callable[[], None] | None) -> fl
 
 
 def _run_empty_frame(simulation: Simulation) -> None:
-    """Run the checks of a frame that has no substeps."""
     solver = simulation.solver
     solver.repair.begin(solver.clock)
     simulation.before_attempt()
@@ -174,7 +158,6 @@ def measure_time(work: Callable[[], Any]) -> float:
 
 
 def _advance(solver: AnySolver, substeps: int, after: Callable[[], None] | None) -> None:
-    """Advance the solver by about `substeps` stable substeps."""
     limit = solver.clock.stable() if solver.clock.extremes.stiffness > 0 else None
     if limit is None:
         solver.step(0.0, 0.0)
@@ -187,7 +170,7 @@ def _advance(solver: AnySolver, substeps: int, after: Callable[[], None] | None)
 
 
 def _node_fraction(solver: AnySolver) -> float:
-    """Return the fraction of the substep's time that is proportional to the number of nodes."""
+    """Return the fraction of the time that is proportional to the number of nodes."""
     walls = {stage.name for stage in solver.boundaries}
     total = nodes = 0.0
     for worker in solver.workers:
@@ -199,10 +182,7 @@ def _node_fraction(solver: AnySolver) -> float:
 
 
 def time_shapes(simulation: Simulation) -> tuple[float, float]:
-    """Return the times [s] to bind Gaussians to particles, and to deform the Gaussians in a frame.
-
-    For the measurement, the particles are randomly strained.
-    """
+    """Return the times [s] to bind Gaussians and to deform them in a frame, for random strains."""
     solver, particles = simulation.solver, simulation.setup.particles
     rng = np.random.default_rng(0)
     strained = np.eye(3) + 0.05 * rng.standard_normal((len(particles), 3, 3))
@@ -218,13 +198,7 @@ def time_shapes(simulation: Simulation) -> tuple[float, float]:
 
 
 def time_film(gaussians: Gaussians, scene: Scene, context: RunContext) -> dict[str, float]:
-    """Predict the times of rendering, encoding and saving [s] from a few frames in one view.
-
-    Args:
-        gaussians: The object.
-        scene: The scene.
-        context: Device and threads; progress and stopwatch are not used.
-    """
+    """Predict the times of rendering, encoding and saving [s] from a few frames in one view."""
     front = scene.view.model_copy(update={"views": ("front",)}).only("front")
     views, frames = len(scene.view.sides), scene.time.frames
     few, more = FILMED
@@ -256,9 +230,7 @@ def time_film(gaussians: Gaussians, scene: Scene, context: RunContext) -> dict[s
 def seconds_to_compile(scene: Scene, device: str = "cpu") -> float:
     """Predict the time to compile a scene's missing kernels on all cores [s]; 0 on a GPU.
 
-    This function creates kernels. Only one thread may call this function at a time, and no solver
-    may be built at the same time. Kernels of forces on a part of the object (0.3 s each) are not
-    included.
+    Only one thread may call this function at a time, and no solver may be built at the same time.
     """
     if device != "cpu" or wp.config.kernel_cache_dir is None:
         return 0.0
@@ -268,10 +240,7 @@ def seconds_to_compile(scene: Scene, device: str = "cpu") -> float:
 
 
 def _make_moving_clip(gaussians: Gaussians, scene: Scene, count: int) -> Clip:
-    """Return a clip in which the object moves by 1 % of its size per frame.
-
-    A motion of 1 % of the size per frame is typical of the videos of runs.
-    """
+    """Return a clip in which the object moves by 1 % of its size per frame, as is typical."""
     n = len(gaussians)
     shift = np.arange(count, dtype=np.float32)[:, None, None] * np.float32(scene.object.size / 100)
     return Clip(
@@ -289,63 +258,47 @@ def _make_moving_clip(gaussians: Gaussians, scene: Scene, count: int) -> Clip:
 CELLS = 16
 """Cells across the object in the pilot run."""
 EXCESS = 0.8
-"""A moving object needs more substeps than an object at rest. This difference in the number of
-substeps is proportional to cells^(1 + EXCESS), for any number of cells across the object."""
+"""The difference between the numbers of substeps in motion and at rest is proportional to cells^(1
++ EXCESS).
+"""
 ON_LATTICE = 1.2
-"""Exponent that replaces `EXCESS` for bodies that are simulated on lattices."""
+"""Value of `EXCESS` for lattices."""
 LIMITERS = ("elastic", "speed", "gradient", "viscous", "user", "wave")
 
 
 @dataclass(frozen=True)
 class Pilot:
-    """Numbers of substeps that a motion needs, counted in a short run on a coarse grid (the pilot
-    run).
-    """
+    """Numbers of substeps in a short run on a coarse grid."""
 
     cells: int
     counts: dict[str, NDArray[np.float64]]
-    """For each stability limit, the number of substeps that it requires in each frame [T], not
-    rounded."""
+    """Substeps that each stability limit requires in each frame [T], not rounded."""
     rest: float
-    """Number of substeps per frame that the initial state needs."""
+    """Substeps per frame in the initial state."""
     growth: float
-    """Mean number of stored grid nodes during the run, relative to the initial number."""
+    """Mean number of nodes, relative to the initial number."""
     stopped: bool
-    """Whether the pilot run became unstable, so that the forecast is not reliable."""
+    """Whether the pilot run became unstable."""
     viscous: float = 0.0
-    """Number of substeps per frame that viscosity alone requires."""
+    """Substeps per frame that viscosity alone requires."""
     factors: NDArray[np.float64] | float = 1.0
-    """Factor on Young's modulus at each frame [T]."""
+    """Factor on Young's modulus in each frame [T]."""
     excess: float = EXCESS
-    """The difference between the numbers of substeps in motion and at rest is proportional to
-    cells^(1 + excess)."""
+    """See `EXCESS`."""
     dx: float = 1.0
-    """Side of a cell in the pilot run [m]."""
+    """Side of a cell [m]."""
     stages: Stages = field(default_factory=dict)
-    """The stages of the substeps on lattices; empty for other solvers."""
+    """Stages on lattices; empty for other solvers."""
     seconds: float = 0.0
-    """Duration of the pilot run, including its preparation [s]."""
+    """Duration with preparation [s]."""
 
     def finer(self, dx: float) -> float:
-        """Return the ratio of the numbers of cells across the object in the run and in the pilot
-        run.
-
-        The side of a cell is `dx` [m].
-        """
+        """Return how many times finer a grid with cells of side `dx` [m] is."""
         return self.dx / dx
 
     def substeps(self, cells: int, rest: float | None = None) -> tuple[int, dict[str, float]]:
-        """Predict the number of substeps on another grid.
-
-        Also return, for each stability limit, the fraction of the substeps whose length it
+        """Predict the number of substeps on another grid, and the fraction that each limit
         determines.
-
-        The number of substeps in a frame is rounded up.
-
-        Args:
-            cells: Cells across the object.
-            rest: Substeps per frame that the initial state needs on this grid; if None, the number
-                is assumed to be proportional to the cells.
         """
         scale = cells / self.cells
         more = scale if rest is None else rest / self.rest
@@ -368,7 +321,7 @@ class Pilot:
 
 
 def coarsen(scene: Scene) -> Scene:
-    """Return the scene of the pilot run, with a coarse grid and the binding `lattice`."""
+    """Return the scene of the pilot run."""
     # Solids that the grid of the scene resolves must not be too thin for the coarse grid.
     cells = min(max(CELLS, min_cells(scene)), scene.resolution.cells)
     changes = {"cells": cells, "precision": "float32", "solver": scene.solver}
@@ -397,9 +350,9 @@ def run_pilot(
     Args:
         gaussians: The object.
         scene: The scene.
-        context: Only the device of the context is used.
-        crop: Rectangle of the object in the picture on which the masks of parts were painted.
-        placed: The object as placed in the scene, from a setup of the same Gaussians.
+        context: Only the device is used.
+        crop: Position of the object in the picture with the masks of parts.
+        placed: The object in its position, from a setup of the same Gaussians.
     """
     context = RunContext(device=(context or RunContext()).device)
     coarse, start = coarsen(scene), time.perf_counter()
@@ -435,7 +388,7 @@ def run_pilot(
 
 
 def substeps_at_rest(solver: AnySolver) -> float:
-    """Return the number of substeps per second that the initial state of a solver needs [1/s].
+    """Return the substeps per second in the initial state [1/s].
 
     A particle solver must have measured its limits.
     """
@@ -445,7 +398,6 @@ def substeps_at_rest(solver: AnySolver) -> float:
 
 
 def _on_lattice(solver: AnySolver) -> TypeGuard[LatticeSolver]:
-    """Return whether all bodies are on lattices."""
     from phy124.lattice.solver import LatticeSolver
 
     return isinstance(solver, LatticeSolver)

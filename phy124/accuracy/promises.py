@@ -1,13 +1,8 @@
 """States the error of a scene or of a run (the "promise"), and formats all messages about errors.
 
-Before a run, the error is predicted by a model that was fitted to many objects
-(phy124/accuracy/expectation.py). After a run, the error was either estimated for this run
-(phy124/accuracy/companion.py) or measured for a goal. If no error is known, the error is stated as
-"not measured". A study of the scene (`phy124 accuracy`) can measure the error.
-
-An error that was measured for a scene has two values: an estimate ("about") and a bound ("at
-most"). The bound held for 95 % of the objects and scenes with which it was compared. All
-percentages of an object's size are formatted by `format_percent`.
+Before a run, the error is predicted (phy124/accuracy/expectation.py). After a run, it was estimated
+(phy124/accuracy/companion.py) or measured for a goal. The bound of an error that was measured for a
+scene held for 95 % of the objects and scenes with which it was compared.
 """
 
 import math
@@ -22,13 +17,12 @@ from phy124.scene import Scene
 
 UNMEASURED = "error not measured"
 STUDY = "phy124 accuracy SCENE --image PICTURE"
-"""The command that measures the error of a scene."""
 SPREAD = 3.0
-"""Bound on the ratio of an error to its estimate from several grids. The bound was exceeded for 5 %
-of the measured objects and scenes (docs/lab/accuracy.md#goals).
+"""Bound on the ratio of an error to its estimate from several grids, exceeded for 5 % of the
+measured objects and scenes (docs/lab/accuracy.md#goals).
 """
 SMALLEST = 1e-4
-"""Smallest error that messages state, as a fraction of the object's size."""
+"""Smallest error in messages, relative to the object's size."""
 
 
 @dataclass(frozen=True)
@@ -36,26 +30,24 @@ class Promise:
     """The error bound of a scene, or the reason why there is none."""
 
     error: float | None
-    """Error bound: a limit of the RMS distance of the Gaussians from the exact motion. The value is
-    None if there is no bound.
+    """Limit of the RMS distance from the exact motion, relative to the object's size, or None.
 
-    The bound is a fraction of the object's size. The RMS is taken over the clip, or over its first
-    `seconds`.
+    The RMS is taken over the clip, or over its first `seconds`.
     """
     why: str
-    """A sentence that names the source of the error bound, or the reason why there is no bound."""
+    """Source of the bound, or the reason why there is none."""
     unmeasured: str = ""
-    """The kind of the scene, if no scene of this kind was measured; otherwise empty."""
+    """Kind of the scene, if no scene of this kind was measured."""
     about: float | None = None
-    """Error measured on this scene, as a fraction of the object's size; None if not measured."""
+    """Error measured on this scene, relative to the object's size, or None."""
     seconds: float | None = None
-    """Time up to which the bound holds [s]; None if the bound holds for the whole clip."""
+    """Time up to which the bound holds [s]; None: the whole clip."""
     unestimated: str = ""
-    """Reason why a finished run did not estimate its error; empty before a run."""
+    """Reason why a finished run did not estimate its error."""
 
     @property
     def sentence(self) -> str:
-        """A message that states the error bound and its source."""
+        """Message about the bound and its source."""
         if self.of_scene:
             return f"This run is off by {self.size()}{self._span}. {self.why}"
         if self.error is None:
@@ -63,18 +55,16 @@ class Promise:
         return f"Expected error: {self.size()}{self._span}. {self.why}{self._reason}"
 
     def with_study(self, command: str) -> str:
-        """Return `sentence`, in which the command that measures the scene's error is replaced by
-        `command`.
-        """
+        """Return `sentence` with another command for measuring the error."""
         return self.sentence.replace(STUDY, command)
 
     @property
     def of_scene(self) -> bool:
-        """Whether the error was measured on this scene instead of predicted from other scenes."""
+        """Whether the error was measured on this scene."""
         return self.about is not None
 
     def size(self, whole: str = "the object's size") -> str:
-        """Return the error as text: "about 1.3 % of the object's size, at most 2.4 %"."""
+        """Return the error, such as "about 1.3 % of the object's size, at most 2.4 %"."""
         most = format_percent(self.error or 0.0)
         if self.about is None:
             return f"at most {most} of {whole}"
@@ -82,48 +72,44 @@ class Promise:
 
     @property
     def brief(self) -> str:
-        """A message that states the error bound, without a command that measures the error."""
+        """Message without a command that measures the error."""
         if self.unmeasured:
             return f"Expected error: not measured for {self.unmeasured}.{self._reason}"
         return self.sentence
 
     @property
     def row(self) -> tuple[str, str]:
-        """The error bound as a row of a table (title, value)."""
+        """Title and value for a table."""
         title = "Error of this run" if self.of_scene else "Expected error"
         text = self.brief.removeprefix("This run is off by ").removeprefix("Expected error: ")
         return title, text
 
     @property
     def missing(self) -> str:
-        """A few words that say which error was not measured; "" if no measurement is missing."""
+        """Which error was not measured, in a few words; may be empty."""
         if self.seconds is not None:
             return f"error after {self.seconds:.2f} s not measured"
         return UNMEASURED if self.unmeasured else ""
 
     def off(self, pixels: float | None) -> str:
-        """Describe the error bound of a run, also in the video [pixels] if this is known."""
+        """Describe the bound of a run, also in pixels if known."""
         if self.error is None or pixels is None:
             return UNMEASURED
         return f"off by at most {format_percent(self.error)} ({pixels:.0f} px){self._span}"
 
     @property
     def _span(self) -> str:
-        """Text about the part of the clip for which the bound holds; empty for the whole clip."""
         return "" if self.seconds is None else f" in the first {self.seconds:.2f} s"
 
     @property
     def _reason(self) -> str:
-        """Sentence with the reason why a finished run did not estimate its error; may be empty."""
         if not self.unestimated:
             return ""
         return f" This run did not estimate its error: {self.unestimated.rstrip('.')}."
 
 
 def _promise_of_run(report: Mapping[str, Any]) -> Promise | None:
-    """Return the error in a run's report or the reason why it is missing; None if there is
-    neither.
-    """
+    """Return the error in a run's report, or the reason why it is missing."""
     broken = why_broken(report)
     if broken:
         return refuse_promise(broken)
@@ -140,12 +126,8 @@ def promise(
 ) -> Promise:
     """Return the error bound for a scene.
 
-    Args:
-        scene: The scene.
-        proportions: Proportions of the object (`phy124.particles.thickness`). If None, the
-            proportions are read from the report, if possible.
-        report: The report of the scene's run. The report may contain the estimated error, the error
-            that was measured for a goal, or a reason why no bound holds.
+    Missing proportions are read from the report of the scene's run. The report may also contain the
+    estimated error, the error that was measured for a goal, or a reason why no bound holds.
     """
     if report and (settled := _promise_of_run(report)):
         return settled
@@ -163,7 +145,7 @@ def promise(
 
 
 def refuse_promise(why: str) -> Promise:
-    """Return a message that states why there is no error bound."""
+    """Return a promise without an error bound."""
     return Promise(None, f"there is no bound: {why}")
 
 
@@ -173,10 +155,10 @@ def promise_measured(
     """Return the message about an error that was estimated by running the scene on several grids.
 
     Args:
-        error: The estimated error, as a fraction of the object's size.
+        error: The estimated error, relative to the object's size.
         cells: Cells across the object on the scene's grid.
         grids: Cells across the object on the measured grids, from coarse to fine.
-        until: Time up to which the error holds [s]; None if it holds for the whole motion.
+        until: Time up to which the error holds [s]; None: the whole motion.
     """
     if cells > grids[-1]:
         origin = f"Extrapolated to D/{cells} from {_join_names([f'D/{n}' for n in grids])}."
@@ -188,9 +170,7 @@ def promise_measured(
 
 
 def promise_own(entry: Mapping[str, Any]) -> Promise:
-    """Return the message about the error that a run has estimated, from `error` in the run's
-    report.
-    """
+    """Return the error that a run has estimated, from `error` in its report."""
     why = f"Estimated from the same motion on D/{entry['cells']}."
     if entry["until"] is not None:
         why += (
@@ -201,26 +181,26 @@ def promise_own(entry: Mapping[str, Any]) -> Promise:
 
 
 def format_percent(fraction: float, digits: int = 2) -> str:
-    """Format a fraction as a percentage: "0.84 %", "12 %"; less than 0.01 % counts as 0.01 %."""
+    """Format a fraction as a percentage of at least 0.01 %: "0.84 %", "12 %"."""
     percent = 100 * max(fraction, SMALLEST)
     places = max(digits - 1 - math.floor(math.log10(percent)), 0)
     return f"{percent:.{places}f} %"
 
 
 def format_apart(first: float, second: float) -> tuple[str, str]:
-    """Format two fractions as percentages, with enough digits to show their difference."""
+    """Format two fractions with enough digits to show their difference."""
     texts = [[format_percent(each, n) for each in (first, second)] for n in range(2, 7)]
     a, b = next((pair for pair in texts if pair[0] != pair[1]), texts[0])
     return a, b
 
 
 def torn(grids: Sequence[str]) -> str:
-    """State that the material may tear on the named grids of a study (such as D/16)."""
+    """State that the material may tear on these grids."""
     return f"on {_join_names(grids)} the grid may tear the material"
 
 
 def off(error: float | None, *, torn: bool = False) -> str:
-    """Describe the error on one of a study's grids in a few words."""
+    """Describe the error on one of a study's grids."""
     if torn:
         return "may be torn"
     return "no error" if error is None else f"off by about {format_percent(error)}"
@@ -232,14 +212,13 @@ def check_promise(
     until: float | None = None,
     stated: Mapping[str, Any] | None = None,
 ) -> str:
-    """Describe whether a measured error of a scene is within the error bound that was stated
-    before.
+    """Describe whether a measured error is within the bound that was stated before.
 
     Args:
         promised: The error bound.
-        error: The error measured in this scene, as a fraction of the object's size.
-        until: Time up to which the error was measured [s]; None: for the whole motion.
-        stated: The error in the report of a run of this scene; None if it is unknown.
+        error: The measured error, relative to the object's size.
+        until: Time up to which the error was measured [s]; None: the whole motion.
+        stated: The error in the report of a run, if known.
     """
     states = _describe_stated(stated or {})
     here = f"measured here{'' if until is None else f' up to {until:.2f} s'}"
@@ -257,7 +236,6 @@ def check_promise(
 
 
 def _describe_stated(entry: Mapping[str, Any]) -> str:
-    """Describe the error bound in the entry `error` of a report; return "" if there is no bound."""
     if entry.get("at_most") is None:
         return ""
     span = "" if entry.get("until") is None else f" in the first {entry['until']:.2f} s"
@@ -270,7 +248,7 @@ def _join_names(names: Sequence[str]) -> str:
 
 
 def why_broken(report: Mapping[str, Any]) -> str:
-    """Return the reason why no error bound holds for a run, or "" if a bound may hold."""
+    """Return the reason why no bound holds for a run, or ""."""
     if report.get("balance", {}).get("tearing", {}).get("likely"):
         return "the grid may have torn the material (see the notes)."
     if report.get("complete") is False:

@@ -1,4 +1,4 @@
-"""Computes the properties of a scene that determine its error, such as its severity."""
+"""Properties of a scene that determine its error."""
 
 import math
 from typing import Literal
@@ -12,36 +12,28 @@ from phy124.scene import Scene
 from phy124.scene.energies import duration, energy
 
 COMPARED = {"law", "density", "E", "bulk_modulus", "nu", "damping", "viscosity", "yield_stress"}
-"""Fields of a material that `violence`, `yielding`, `damping` or `poisson` take into account."""
+"""Fields of a material on which these properties depend."""
 MEASURED = {"repose_angle": (30.0, 36.0), "hardening": (3.0, 10.0), "extension": (0.004, 0.0075)}
-"""For each further field of a material, the range in which errors are the same as with the field's
-default value.
-"""
+"""Ranges of further fields in which errors are the same as with the default."""
 LOOKS = {"tint", "visibility"}
-"""Fields of a material that do not affect the motion."""
 
 
 def violence(scene: Scene, thickness: float | None = None) -> float:
-    """Return the severity of a scene, 2 e / c^2 + s^2, which compares its energy with its
-    stiffness.
+    """Return the severity of a scene, 2 e / c^2 + s^2.
 
     Here e is the energy per mass (`energy` returns 2 e), c the speed of waves in a bar of the
-    object's softest material, and s the deformation by walls and hands, relative to the object's
-    size.
-
-    Args:
-        scene: The scene.
-        thickness: Local thickness of the object relative to its size; None: unknown.
+    softest material, and s the deformation by walls and hands, relative to the object's size.
+    `thickness` is the local thickness, relative to the size.
     """
     slowest = min(bar_speed(section) for section in scene.materials)
     return energy(scene, thickness) / max(slowest, 1e-9) ** 2 + _strain(scene) ** 2
 
 
 def yielding(scene: Scene, thickness: float | None = None) -> float:
-    """Return the ratio of energy to yield stress, 2 e rho / sigma; 0 if no material yields.
+    """Return the largest ratio of energy to yield stress, 2 e rho / sigma; 0 if no material yields.
 
     Here e is the energy per mass (`energy` returns 2 e), rho the density, and sigma the yield
-    stress. The result is the largest ratio over all materials.
+    stress.
     """
     supplied = energy(scene, thickness)
     yields = [getattr(section, "yield_stress", math.inf) for section in scene.materials]
@@ -62,15 +54,14 @@ def damping(scene: Scene) -> float:
 
 
 def poisson(scene: Scene) -> float:
-    """Return the largest Poisson's ratio of all materials, or 0 if no material has one."""
+    """Return the largest Poisson's ratio of all materials, or 0."""
     return max(getattr(section, "nu", 0.0) for section in scene.materials)
 
 
 def bar_speed(section: AnyMaterial) -> float:
     """Return the speed of waves along a bar [m/s], sqrt(E / rho) for elastic materials.
 
-    The speed of waves in a bar remains finite as Poisson's ratio approaches 0.5, unlike the speed
-    of pressure waves.
+    Unlike the speed of pressure waves, it remains finite as Poisson's ratio approaches 0.5.
     """
     if isinstance(section, Elastic):
         return math.sqrt(section.E / section.density)
@@ -78,9 +69,7 @@ def bar_speed(section: AnyMaterial) -> float:
 
 
 def find_difference(scene: Scene) -> str:
-    """Describe a material parameter with a value for which no errors were measured; return "" if
-    there is none.
-    """
+    """Describe a material parameter without measured errors, or return ""."""
     for section in scene.materials:
         for name, field in type(section).model_fields.items():
             usual, value = field.get_default(call_default_factory=True), getattr(section, name)
@@ -92,7 +81,7 @@ def find_difference(scene: Scene) -> str:
 
 
 def _strain(scene: Scene) -> float:
-    """Return the largest deformation of the object by a press or a hand, relative to its size."""
+    """Return the largest deformation by a press or a hand, relative to the object's size."""
     presses = [wall.depth for wall in scene.boundaries if isinstance(wall, Press)]
     held = any(wall.holds for wall in scene.boundaries)
     hands = [force.target() for force in scene.acting if isinstance(force, Grab) and held]
@@ -104,7 +93,7 @@ Motion = Literal["squeezed", "landing", "standing", "held", "free"]
 
 
 def motion_of(scene: Scene) -> Motion:
-    """Determine the kind of motion of a scene from its walls and the object's initial state.
+    """Return the kind of motion of a scene.
 
     A floor that moves exactly like the clamped foot of the object does not count as a press.
     """
@@ -122,10 +111,10 @@ def motion_of(scene: Scene) -> Motion:
 
 
 def length(scene: Scene) -> float:
-    """Return the duration of a scene in units of sqrt(size / 9.81 m/s^2)."""
+    """Return the duration in units of sqrt(size / 9.81 m/s^2)."""
     return duration(scene) / unit(scene)
 
 
 def unit(scene: Scene) -> float:
-    """Return the time sqrt(size / 9.81 m/s^2) of a scene's object [s]."""
+    """Return sqrt(size / 9.81 m/s^2) of a scene's object [s]."""
     return math.sqrt(scene.object.size / 9.81)
