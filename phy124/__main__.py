@@ -72,7 +72,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(arguments: list[str], *, quiet: bool, verbose: bool) -> int:
-    """Parse the command line and run the command."""
     if arguments == ["--version"]:
         print(f"phy124 {__version__}")
         return 0
@@ -93,7 +92,6 @@ def _run(arguments: list[str], *, quiet: bool, verbose: bool) -> int:
 
 
 def _start(*, talkative: bool) -> None:
-    """Start Warp."""
     import warp as wp
 
     from phy124.runtime.startup import start
@@ -103,7 +101,6 @@ def _start(*, talkative: bool) -> None:
 
 
 def _parse(arguments: list[str]) -> Any:
-    """Parse the command and its options; print the list of commands and exit if requested."""
     from phy124.commands import COMMANDS, outline
     from phy124.schema.arguments.parsing import asks_for_commands, parse
 
@@ -129,10 +126,7 @@ def _note(message: Warning | str, *_: object) -> None:
 
 
 def _report(problem: BaseException, *, as_json: bool, verbose: bool) -> int:
-    """Report an exception to the user, and return the exit status.
-
-    With `as_json`, the message is also printed to standard output, as JSON.
-    """
+    """With `as_json`, the message is also printed to standard output, as JSON."""
     from phy124.runtime.installation import with_program
 
     cause = failure(problem)

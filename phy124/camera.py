@@ -1,7 +1,7 @@
 """A pinhole camera with pixel centres at half-integers, and the four views of the Phy124 paper.
-Only this module defines the camera's axes. The axes are OpenCV's: x right, y down, z forward. Pixel
-(i, j) covers [i, i+1) x [j, j+1), so its centre is (i + 0.5, j + 0.5). The optical axis meets the
-image at (width/2, height/2) unless the axis is shifted.
+
+The axes are OpenCV's: x right, y down, z forward. Pixel (i, j) covers [i, i+1) x [j, j+1). The
+optical axis meets the image at (width/2, height/2) unless it is shifted.
 """
 
 from __future__ import annotations
@@ -14,10 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 VIEWS = {"front": 0.0, "right": 90.0, "back": 180.0, "left": 270.0}
-"""Azimuths of the four views in the Phy124 paper [degrees]. The front of the object is its side
-towards +x, and the right is its side towards +y."""
+"""Azimuths of the four views in the Phy124 paper [degrees]; front is +x, right is +y."""
 FOV_Y = 49.1
-"""Default vertical field of view [degrees]. LGM uses the same value."""
+"""Default vertical field of view [degrees], as in LGM."""
 
 
 @dataclass(frozen=True)
@@ -35,8 +34,7 @@ class Camera:
     fov_y: float = FOV_Y
     """Vertical field of view, degrees."""
     shift: tuple[float, float] = (0.0, 0.0)
-    """Offset of the principal point from the middle of the image, to the right and downwards,
-    pixels."""
+    """Offset of the principal point to the right and downwards, pixels."""
 
     @classmethod
     def orbit(
@@ -52,8 +50,8 @@ class Camera:
 
         Args:
             azimuth: Azimuth, degrees. 0 is the front (+x), 90 the right side (+y).
-            elevation: Elevation, degrees. If the elevation is positive, the camera looks down.
-            radius: Distance of the camera from the target, m.
+            elevation: Elevation, degrees; if positive, the camera looks down.
+            radius: Distance from the target, m.
             size: Width and height in pixels, or one number for both.
             target: Point to look at [3], m.
             fov_y: Vertical field of view, degrees.
@@ -66,17 +64,17 @@ class Camera:
 
     @property
     def focal(self) -> float:
-        """Focal length in pixels, which is the same along both axes."""
+        """Focal length in pixels."""
         return 0.5 * self.height / math.tan(0.5 * math.radians(self.fov_y))
 
     @property
     def halves(self) -> tuple[float, float]:
-        """Half the width and half the height of the visible area at a distance of 1."""
+        """Half the width and height of the visible area at a distance of 1."""
         return 0.5 * self.width / self.focal, 0.5 * self.height / self.focal
 
     @property
     def centre(self) -> tuple[float, float]:
-        """Principal point, at which the optical axis meets the image, pixels."""
+        """Point at which the optical axis meets the image, pixels."""
         return self.width / 2 + self.shift[0], self.height / 2 + self.shift[1]
 
     @cached_property

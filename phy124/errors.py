@@ -1,4 +1,4 @@
-"""Declares exceptions that do not indicate a bug: bad input, cancellation, partial results."""
+"""Exceptions that do not indicate a bug: bad input, cancellation, partial results."""
 
 import difflib
 import errno
@@ -8,17 +8,16 @@ from typing import Any, NamedTuple
 
 DISK_CODES = {errno.ENOSPC, errno.EFBIG, *([errno.EDQUOT] if hasattr(errno, "EDQUOT") else [])}
 SHORT_CODES = {*DISK_CODES, errno.ENOMEM, errno.EMFILE, errno.ENFILE}
-"""Error codes that report a lack of disk space, memory or file descriptors.
-"""
+"""Lack of disk space, memory or file descriptors."""
 CONTROL = {code: f"\\x{code:02x}" for code in (*range(32), *range(127, 160))}
 """Escape sequences for control characters, which could change a terminal's colours or title."""
 DISK_WORDS = ("no space left", "disk quota exceeded", "os error 28", "os error 122")
 SHORT_WRITE = re.compile(r"\d+ requested and \d+ written")
-"""Pattern of the message (without an error code) that NumPy raises if the disk becomes full."""
+"""Message of NumPy, without an error code, if the disk becomes full."""
 
 
 def is_full_disk(problem: BaseException) -> bool:
-    """Return whether an exception, of the system or of a library, reports a full disk."""
+    """Return whether an exception reports a full disk."""
     code = problem.errno if isinstance(problem, OSError) else None
     words = str(problem).lower()
     says = any(sign in words for sign in DISK_WORDS) or SHORT_WRITE.search(words) is not None
@@ -37,8 +36,8 @@ class Remedy(NamedTuple):
 class InputError(ValueError):
     """The user's input cannot be used; the message says which input, why, and how to correct it.
 
-    The command line and the web page print only the message, never a traceback. `remedies` are
-    changes of the scene. Each of them alone solves the problem.
+    The command line and the web page print only the message. Each of the `remedies` alone solves
+    the problem.
     """
 
     def __init__(
@@ -50,21 +49,18 @@ class InputError(ValueError):
         super().__init__(f"{said}: {limit} {remedy}".rstrip())
 
     def __reduce__(self) -> tuple[type, tuple[object, ...]]:
-        """Support pickle, which would otherwise pass the whole message to the constructor."""
         return type(self), (self.field, self.value, self.limit, self.remedy)
 
 
 class Cancelled(Exception):
-    """Raised by a progress callback in order to stop the work immediately."""
+    """Raised by a progress callback to stop the work."""
 
 
 class Incomplete(Exception):
     """Raised if an error or Ctrl-C ended the work after some of the results were saved.
 
-    `__cause__` is the exception that ended the work.
-
-    `kept` is the end of a sentence. It names the saved files and the command that continues the
-    run.
+    `__cause__` is the exception that ended the work. `kept`, the end of a sentence, names the saved
+    files and the command that continues the run.
     """
 
     def __init__(self, kept: str) -> None:
@@ -73,11 +69,11 @@ class Incomplete(Exception):
 
 
 def did_you_mean(word: str, known: Iterable[str], *, similarity: float = 0.6) -> str:
-    """Return the sentence "Did you mean ...?" if a known word is similar, else an empty text."""
+    """Return "Did you mean ...?" with a similar word, or an empty text."""
     close = difflib.get_close_matches(word, [*known], 1, similarity)
     return f"Did you mean {close[0]}?" if close else ""
 
 
 def suggest(word: str, known: Sequence[str]) -> str:
-    """Return the sentence "Did you mean ...?" if a word is similar, or a list of known words."""
+    """Return "Did you mean ...?" with a similar word, or all known words."""
     return did_you_mean(word, known) or f"Choose one of {', '.join(known)}."

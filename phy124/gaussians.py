@@ -1,4 +1,4 @@
-"""Declares the data of the pipeline: Gaussians, particles and frames.
+"""Gaussians, particles and frames.
 
 The world is right-handed and in metres; z is up, and the object faces +x
 (docs/reference/conventions.md). Quaternions are wxyz. Values are stored after activation: opacities
@@ -35,15 +35,12 @@ SH_C3 = (
     1.445305721320277,
     -0.5900435899266435,
 )
-"""Factors of the spherical harmonics of degrees 1 to 3. The harmonics have the signs and the order
-of Kerbl et al. 2023."""
+"""Factors of degrees 1 to 3, with the signs and the order of Kerbl et al. 2023."""
 SH_COEFFICIENTS = (1, 4, 9, 16)
-"""Allowed values of K in `sh [N,K,3]`, for degrees 0 to 3."""
 
 
 BLOCK = 1 << 15
-"""Number of rows of an array that are processed at a time, chosen so that they fit into the cache.
-"""
+"""Number of rows of an array that are processed at a time, and fit into the cache."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +65,7 @@ class Gaussians:
     sh: Array
     """Spherical-harmonic colours [N,K,3], K in 1, 4, 9, 16."""
     object_id: NDArray[np.int32] | None = None
-    """Object index of each Gaussian [N]; None if there is a single object."""
+    """Object of each Gaussian [N]; None: a single object."""
 
     def __post_init__(self) -> None:
         for name in ("means", "quats", "scales", "opacities", "sh"):
@@ -96,7 +93,7 @@ class Gaussians:
     def from_rgb(
         cls, means: NDArray, quats: NDArray, scales: NDArray, opacities: NDArray, rgb: NDArray
     ) -> Gaussians:
-        """Return Gaussians with colours that do not depend on direction (harmonics of degree 0).
+        """Return Gaussians with colours that do not depend on direction.
 
         Args:
             means: Centres [N,3], m.
@@ -111,9 +108,7 @@ class Gaussians:
 
     @property
     def rgb(self) -> Array:
-        """Colours [N,3] in 0..1 from the harmonics of degree 0, which do not depend on the view
-        direction.
-        """
+        """Colours [N,3] in 0..1 from the harmonics of degree 0."""
         return np.clip(0.5 + SH_C0 * self.sh[:, 0], 0, 1)
 
     @property
@@ -122,7 +117,7 @@ class Gaussians:
         return SH_COEFFICIENTS.index(self.sh.shape[1])
 
     def select(self, which: NDArray | slice) -> Gaussians:
-        """Return the Gaussians that a boolean mask, an index array or a slice selects."""
+        """Return the Gaussians of a mask, an index array or a slice."""
         if isinstance(which, np.ndarray) and which.dtype == bool and which.all():
             return self
         return Gaussians(
@@ -135,13 +130,13 @@ class Gaussians:
         )
 
     def of_object(self, index: int) -> Gaussians:
-        """Return the Gaussians of the object with a given index, without `object_id`."""
+        """Return the Gaussians of an object, without `object_id`."""
         if self.object_id is None:
             return self if index == 0 else self.select(np.zeros(0, int))
         return replace(self.select(self.object_id == index), object_id=None)
 
     def transform(self, scale: float, offset: NDArray) -> Gaussians:
-        """Return a copy that is scaled about the origin and then shifted by `offset [3]` m."""
+        """Return a copy, scaled about the origin and then shifted by `offset` [3], m."""
         means = self.means * scale + np.asarray(offset)
         return replace(self, means=means, scales=self.scales * scale)
 
@@ -158,18 +153,18 @@ class Gaussians:
         return self.opacities * np.maximum(np.maximum(x * y, y * z), z * x)
 
     def deviations(self) -> NDArray[np.float64]:
-        """Return standard deviations along the world axes [N,3], m, in double precision."""
+        """Return standard deviations along the world axes [N,3], m."""
         axes = rotation_matrices(self.quats) * self.scales[:, None, :].astype(np.float64)
         return np.sqrt(np.einsum("nij,nij->ni", axes, axes))
 
     def covariances(self) -> NDArray[np.float64]:
-        """Return covariance matrices [N,3,3], m^2, in double precision."""
+        """Return covariance matrices [N,3,3], m^2."""
         axes = rotation_matrices(self.quats) * self.scales[:, None, :].astype(np.float64)
         return axes @ axes.transpose(0, 2, 1)
 
 
 def finite_rows(array: NDArray) -> NDArray[np.bool_]:
-    """Return a mask of the rows of an array [N,...] in which all values are finite."""
+    """Return a mask of the rows [N,...] in which all values are finite."""
     flat = array.reshape(len(array), math.prod(array.shape[1:]))
     finite = np.ones(len(array), bool)
     with np.errstate(invalid="ignore"):
@@ -183,10 +178,7 @@ def finite_rows(array: NDArray) -> NDArray[np.bool_]:
 
 
 def join(sets: Sequence[Gaussians]) -> Gaussians:
-    """Join several sets of Gaussians in order.
-
-    Missing coefficients of higher harmonics are set to zero.
-    """
+    """Join sets of Gaussians in order; missing higher harmonics are zero."""
     most = max(item.sh.shape[1] for item in sets)
 
     def stack(name: str) -> NDArray:
@@ -199,7 +191,7 @@ def join(sets: Sequence[Gaussians]) -> Gaussians:
 
 
 def as_objects(objects: dict[int, Gaussians]) -> Gaussians:
-    """Join the Gaussians of several objects; the key of each object becomes its `object_id`."""
+    """Join the Gaussians of several objects; the keys become `object_id`."""
     return join(
         [
             replace(item, object_id=np.full(len(item), index, np.int32))
@@ -209,7 +201,7 @@ def as_objects(objects: dict[int, Gaussians]) -> Gaussians:
 
 
 class Wrench(NamedTuple):
-    """Force and torque that the object exerts on a wall, averaged over the last frame interval."""
+    """Mean force and torque of the object on a wall in the last frame interval."""
 
     force: NDArray[np.float64]
     """Force [3], N."""
@@ -222,48 +214,43 @@ class Frame:
     """The Gaussians at one time of the simulation."""
 
     index: int
-    """Index of the frame. The first frame has index 0."""
     time: float
     """Time since the start, s."""
     gaussians: Gaussians
     velocities: Array | None = None
-    """Velocities of the centres [N,3], m/s; None if velocities were not requested."""
+    """Velocities of the centres [N,3], m/s, if requested."""
     contacts: Array | None = None
-    """Force of the walls on each Gaussian [N,3], N, averaged over the last frame interval."""
+    """Mean force of the walls on each Gaussian in the last frame interval [N,3], N."""
     wrenches: dict[str, Wrench] | None = None
-    """Force and torque of the object on each wall, by the wall's name; None if not requested."""
+    """Force and torque on each wall, by name, if requested."""
     carried: tuple[Array, Array] | None = None
     """Positions [C,3], m, and deformation gradients [C,3,3] of the particles that carry the
-    Gaussians. The value is None if the frames are not kept in memory."""
+    Gaussians; None if frames are not kept.
+    """
 
 
 @dataclass(frozen=True, eq=False)
 class Particles:
-    """P material points at rest.
-
-    Points that are neighbours in space are stored close to each other.
-    """
+    """P material points at rest, in spatial order."""
 
     x: NDArray[np.float32]
     """Positions [P,3], m."""
     volume: NDArray[np.float64]
-    """Volumes [P], m^3. The sum of all volumes is the volume of the object."""
+    """Volumes [P], m^3, which add up to that of the object."""
     density: NDArray[np.float64]
     """Densities [P], kg/m^3."""
     material: NDArray[np.int32]
-    """Material index of each particle [P]."""
+    """Index of each particle's material [P]."""
     gaussian: NDArray[np.int32]
-    """For each particle, the index of the Gaussian at its position [P]; -1 if there is none."""
+    """Index of the Gaussian at each particle [P]; -1: none."""
     body: NDArray[np.int32] | None = None
-    """Object index of each particle [P]; None if there is a single object."""
+    """Object of each particle [P]; None: a single object."""
     surface: NDArray[np.float64] | None = None
-    """Surface points [m], outward normals and object indices [S,7] of bodies on lattices. The array
-    is None if there are no bodies on lattices.
+    """Surface points [m], outward normals and object indices [S,7] of bodies on lattices,
+    or None.
     """
     copies: NDArray[np.int8] | None = None
-    """For each cell of a lattice and each of its 27 nodes: which copy of the node the cell uses
-    [C,27]. A node has copies if separate pieces of the body are near it. Cells are in the same
-    order as the points of the lattice. The array is None if no node has copies
+    """Which copy of its 27 nodes each cell of a lattice uses [C,27]; None: no node has copies
     (phy124/particles/pieces.py).
     """
 
@@ -279,7 +266,7 @@ class Particles:
 def by_object(
     gaussians: Gaussians, particles: Particles
 ) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp]]]:
-    """Yield, for each object, the indices of its Gaussians and of its particles."""
+    """Yield the Gaussians and the particles of each object."""
     if particles.body is None or gaussians.object_id is None:
         yield np.arange(len(gaussians)), np.arange(len(particles.x))
         return
@@ -324,7 +311,7 @@ def quaternions(rotations: NDArray) -> NDArray[np.float64]:
 
 
 def sh_basis(directions: NDArray, count: int) -> NDArray[np.float64]:
-    """Evaluate the first `count` (1, 4, 9 or 16) harmonics at unit directions [..., 3]."""
+    """Return the first `count` (1, 4, 9 or 16) harmonics at unit directions [..., 3]."""
     x, y, z = np.moveaxis(np.asarray(directions, dtype=np.float64), -1, 0)
     xx, yy, zz = x * x, y * y, z * z
     values = [np.full_like(x, SH_C0), -SH_C1 * y, SH_C1 * z, -SH_C1 * x]
@@ -340,11 +327,9 @@ def sh_basis(directions: NDArray, count: int) -> NDArray[np.float64]:
 
 
 def rotate_sh(sh: NDArray, quats: NDArray) -> NDArray[np.float32]:
-    """Rotate the direction-dependent colours `sh` [N,K,3] of Gaussians by `quats` wxyz [N,4].
+    """Rotate the direction-dependent colours `sh` [N,K,3] by `quats` wxyz [N,4].
 
-    The rotated colour is c'(d) = c(R^T d). A rotation mixes only harmonics of equal degree. The
-    matrix of each degree is computed, exactly, from the values of the harmonics in fixed
-    directions.
+    The rotated colour is c'(d) = c(R^T d). A rotation mixes only harmonics of equal degree.
     """
     turned = np.array(sh, dtype=np.float64)
     rotations = rotation_matrices(quats)
@@ -360,15 +345,13 @@ def rotate_sh(sh: NDArray, quats: NDArray) -> NDArray[np.float32]:
 
 
 def mirror_signs(count: int) -> NDArray[np.float64]:
-    """Return 1 for each harmonic that is even in x, and -1 for each harmonic that is odd in x
-    [count].
-    """
+    """Return 1 for harmonics that are even in x, and -1 for those that are odd [count]."""
     direction = np.array([0.3, 0.5, np.sqrt(0.66)])
     return np.sign(sh_basis(direction * [-1, 1, 1], count) * sh_basis(direction, count))
 
 
 def spread_directions(count: int) -> NDArray[np.float64]:
-    """Return unit vectors spread evenly over the sphere (Fibonacci lattice) [count,3]."""
+    """Return unit vectors, evenly spread (Fibonacci lattice) [count,3]."""
     i = np.arange(count) + 0.5
     z, angle = 1 - 2 * i / count, np.pi * (1 + 5**0.5) * i
     r = np.sqrt(1 - z * z)
@@ -376,11 +359,11 @@ def spread_directions(count: int) -> NDArray[np.float64]:
 
 
 def stack_wrenches(frames: Sequence[Frame]) -> NDArray[np.float64]:
-    """Return the wrenches (force and torque) on all walls in all frames [T,W,2,3]."""
+    """Return the wrenches on all walls in all frames [T,W,2,3]."""
     rows = [[[*wrench] for wrench in (frame.wrenches or {}).values()] for frame in frames]
     return np.array(rows, np.float64).reshape(len(frames), -1, 2, 3)
 
 
 def of_walls(walls: Sequence[str], wrenches: NDArray) -> dict[str, Wrench]:
-    """Return, by the names of the walls, the wrenches (force and torque) of a frame [W,2,3]."""
+    """Return the wrenches of a frame [W,2,3] by the names of the walls."""
     return {wall: Wrench(*wrench) for wall, wrench in zip(walls, wrenches, strict=True)}

@@ -1,10 +1,8 @@
-"""Estimates time and memory in closed form, from the scene and a few counts.
+"""Estimates time and memory in closed form, within a factor of two, from the scene and a few
+counts.
 
-The number of substeps follows from the stability limit (phy124.mpm.timestep). The number of
-particles depends on the number of Gaussians and on the volume to fill. `Rates` are the costs per
-unit of `Work` on a machine. `USUAL` holds typical rates; the page measures the rates of its machine
-on finished runs. Estimates are correct within a factor of two, which is enough to refuse a run
-before it starts.
+The number of substeps follows from the stability limit (phy124.mpm.timestep). `Rates` are the costs
+per unit of `Work` on a machine.
 """
 
 from __future__ import annotations
@@ -24,74 +22,72 @@ from phy124.particles import Particles
 from phy124.scene import Scene
 
 GAUSSIANS = 50_000
-"""Number of Gaussians that the generator `relief` makes from a picture."""
+"""Number of Gaussians that `relief` makes from a picture."""
 FILLED = 0.19
-"""Volume of a typical object, divided by the cube of the object's longest side."""
+"""Volume of a typical object, relative to the cube of its longest side."""
 DOUBLE = 1.7
-"""Time of a substep in float64, relative to the time of a substep in float32
-(docs/lab/accuracy.md)."""
+"""Time of a substep in float64, relative to float32 (docs/lab/accuracy.md)."""
 PASS = 0.7
 """Time of each further transfer pass, relative to a substep (docs/lab/transfers.md)."""
 STEP = 6.0
-"""Time of a step of a liquid with projected pressure, relative to the time of an MPM substep."""
+"""Time of a step of a projected liquid, relative to an MPM substep."""
 VECTOR = 0.25
-"""Time per lattice point with kernels for vector units, relative to the time per MPM particle."""
+"""Time per lattice point with kernels for vector units, relative to an MPM particle."""
 PLAIN = 2.4
-"""Time per lattice point with all other kernels, relative to the time per MPM particle."""
+"""Time per lattice point with all other kernels, relative to an MPM particle."""
 LAUNCHES = 3600.0
-"""Time to launch the kernels of a lattice's substep, relative to the time per MPM particle."""
+"""Time to launch the kernels of a lattice's substep, relative to an MPM particle."""
 UNDAMPED = 1.5
 """Longest stable substep of an undamped lattice at rest, in units of sqrt(cfl) dx / c."""
 DAMPED = 0.235
-"""Damping ratio of the fastest vibration of a lattice, multiplied by the viscous limit of the
-substep and divided by dx / c."""
+"""Damping ratio of a lattice's fastest vibration, times the viscous limit of the substep, divided
+by dx / c.
+"""
 WINDOW = 11
-"""Number of nodes per axis that the grid stores in addition to the nodes across the object."""
+"""Number of nodes per axis in addition to the nodes across the object."""
 GRAVITY = 9.81
-"""Acceleration that limits the time step of a liquid with projected pressure [m/s^2]."""
+"""Acceleration that limits the time step of a projected liquid [m/s^2]."""
 BYTES_PER_PARTICLE = 400
-"""Memory per particle for its state, a snapshot of its state, and temporary arrays [bytes]."""
+"""Memory per particle for its state, a snapshot, and temporary arrays [bytes]."""
 BYTES_PER_POINT = 1100
-"""Memory per lattice point, including the arrays from which the lattice is built [bytes]."""
+"""Memory per lattice point, with the arrays from which the lattice is built [bytes]."""
 BYTES_PER_NODE = 32
 BYTES_PER_CELL = 4 * 1000
-"""Memory of a liquid with projected pressure per cell that the liquid fills at rest [bytes]. A cell
-that contains liquid takes 1 kB of memory. In a basin, the liquid may spread over four times as many
-cells as at rest.
+"""Memory of a projected liquid per cell that the liquid fills at rest [bytes]. A cell takes 1 kB,
+and a liquid in a basin may spread over four times as many cells.
 """
 BYTES_PER_GAUSSIAN = 40
-"""Memory per Gaussian and frame of the clip [bytes]."""
+"""Memory per Gaussian and frame [bytes]."""
 AT_REST = 450
 """Memory per Gaussian while it is bound, deformed and drawn [bytes] (docs/lab/sizes.md)."""
 HELD = 256e6
-"""Maximum size of frames in memory [bytes]; larger runs compute frames again when read."""
+"""Largest size of frames in memory [bytes]; larger runs compute frames again when read."""
 BYTES_PER_SHAPE = 250
 """Memory per Gaussian on the device that deforms the Gaussians [bytes]."""
 
 
 @dataclass(frozen=True)
 class Rates:
-    """Time that a machine needs for one unit of each kind of work."""
+    """Time of a machine for one unit of each kind of work."""
 
     generate: float = 3.0
-    """Seconds to make Gaussians from a picture."""
     substep: float = 3e-5
-    """Seconds per substep to launch the kernels, independent of the number of particles."""
+    """Seconds per substep to launch kernels."""
     particle: float = 1.1e-7
     """Seconds per particle and substep."""
     node: float = 1.1e-9
     """Seconds per grid node and substep."""
     frame: float = 0.06
-    """Seconds per simulated frame, in addition to its substeps."""
+    """Seconds per frame, in addition to the substeps."""
     video: float = 0.15
-    """Seconds per video, in addition to the time per pixel."""
+    """Seconds per video, in addition to the pixels."""
     pixel: float = 1.2e-7
     """Seconds to render and encode one pixel."""
     rest: float = 1.5
     """Seconds for all other work of a run."""
 
     def seconds(self, work: Work) -> dict[str, float]:
-        """Return the predicted seconds of each stage."""
+        """Return the seconds of each stage."""
         return {
             "generate": self.generate,
             "simulate": self.substep * work.substeps
@@ -102,33 +98,31 @@ class Rates:
         }
 
     def minimum(self, other: Rates) -> Rates:
-        """Combine two sets of rates; keep the smaller value of each rate."""
+        """Return the smaller value of each rate."""
         return Rates(**{name: min(value, vars(other)[name]) for name, value in vars(self).items()})
 
 
 USUAL = {"cpu": Rates(), "cuda": Rates(substep=4.5e-5, particle=3.3e-10, node=1.5e-11, frame=4e-3)}
-"""Typical rates for each kind of device; cuda was measured on an H200 (docs/lab/cuda.md)."""
+"""Typical rates of a device; cuda was measured on an H200 (docs/lab/cuda.md)."""
 
 
 @dataclass(frozen=True)
 class Work:
-    """Amounts of work in a run, in the units to which `Rates` apply."""
+    """Amounts of work in a run, in the units of `Rates`."""
 
     substeps: float
     particles: float
-    """Number of particles times number of substeps, times the relative cost of the floating-point
-    precision and of the transfer scheme."""
+    """Particles times substeps, times the relative cost of precision and transfer."""
     nodes: float
-    """Number of grid nodes times number of substeps, times the relative cost of the floating-point
-    precision and of the transfer scheme."""
+    """Nodes times substeps, times the relative cost of precision and transfer."""
     frames: int
     videos: int
     pixels: float
-    """Number of pixels in all frames of all videos and additional outputs."""
+    """Pixels in all frames of all videos and outputs."""
 
     @classmethod
     def of(cls, scene: Scene, gaussians: int = GAUSSIANS) -> Work:
-        """Estimate the work of a scene for an object with this number of Gaussians."""
+        """Estimate the work of a scene for a number of Gaussians."""
         particles = count_particles(scene, gaussians)
         return cls.from_counts(scene, count_substeps(scene), particles, scene.time.frames)
 
@@ -142,16 +136,14 @@ class Work:
         *,
         nodes: float | None = None,
     ) -> Work:
-        """Return the amounts of work in a run from its numbers of substeps, particles, frames and
-        nodes.
+        """Return the amounts of work in a run.
 
         Args:
             scene: The scene.
             substeps: Total number of substeps.
             particles: Number of particles.
             frames: Number of frames.
-            nodes: Number of grid nodes; None: the number for an object that fills its bounding
-                cube.
+            nodes: Number of grid nodes; None: as for an object that fills its bounding cube.
         """
         slower = DOUBLE if scene.precision == "float64" else 1.0
         slower *= 1 + PASS * scene.resolution.passes
@@ -181,7 +173,7 @@ def count_substeps(scene: Scene) -> int:
 
 
 def count_particles(scene: Scene, gaussians: int = GAUSSIANS) -> int:
-    """Estimate the number of particles, including the particles that fill the objects' interior."""
+    """Estimate the number of particles, including those of the interior."""
     fillings = [FILLED * (body.size / scene.spacing) ** 3 for body in scene.every_object]
     bound = gaussians if scene.binding == "particles" else 0
     return round(sum(filling + bound for filling in fillings))
@@ -193,9 +185,8 @@ def count_nodes(scene: Scene) -> int:
 
 
 def largest_speed(scene: Scene) -> float:
-    """Return an upper bound on the speed of all objects [m/s].
-
-    The bound is the largest initial speed, plus the speed gained from the forces in at most 0.5 s.
+    """Return an upper bound on the speed of all objects [m/s]: initial speed plus the gain in at
+    most 0.5 s.
     """
     initial = max(
         math.hypot(*body.velocity) + math.hypot(*body.spin) * body.size / 2
@@ -207,7 +198,7 @@ def largest_speed(scene: Scene) -> float:
 
 
 def _acceleration(force: Force, mass: float) -> float:
-    """Return the largest acceleration [m/s^2] that a force gives to an object of this mass [kg]."""
+    """Return the largest acceleration [m/s^2] of an object of this mass [kg]."""
     match force:
         case TotalForce():
             return math.hypot(*force.f) / mass
@@ -218,15 +209,12 @@ def _acceleration(force: Force, mass: float) -> float:
 
 
 def rest_substeps(scene: Scene) -> float:
-    """Return the number of substeps that a scene would need if all objects stayed at rest."""
+    """Return the number of substeps if all objects stayed at rest."""
     return float((1 / scene.time.fps / longest_substeps(scene)).sum())
 
 
 def longest_substeps(scene: Scene) -> NDArray[np.float64]:
-    """Return, for each frame after the first, the longest stable substep at rest [T-1], s.
-
-    Stiffness, viscosity, the initial spin and `time.substep` limit the substep.
-    """
+    """Return the longest stable substep at rest for each frame after the first [T-1], s."""
     materials = scene.materials
     if scene.mixes:
         # Only the other materials count, because the liquid takes fewer steps.
@@ -253,26 +241,25 @@ def longest_substeps(scene: Scene) -> NDArray[np.float64]:
 
 
 def _only_lattices(scene: Scene) -> bool:
-    """Return whether all moving objects are on lattices."""
     return scene.on_lattice and not scene.couples
 
 
 def _has_vectors(scene: Scene) -> bool:
-    """Return whether the stress on lattices is computed by kernels for a CPU's vector units."""
+    """Return whether kernels for vector units compute the stress on lattices."""
     laws = {section.device_law.name for section in scene.materials}
     single = scene.precision == "float32"
     return single and all(law.startswith("neo_hookean") for law in laws)
 
 
 class Estimate(NamedTuple):
-    """The estimated time and memory of a simulation, and its number of substeps."""
+    """Estimated time and memory of a simulation."""
 
     substeps: float
     seconds: float
     memory: float
     """Total memory [bytes]."""
     state: float
-    """Memory on the device during the run [bytes]."""
+    """Memory on the device [bytes]."""
 
 
 def estimate(
@@ -285,7 +272,7 @@ def estimate(
         particles: The object's particles.
         scene: The scene.
         device: Warp's name of the device.
-        keep: True if all frames stay in memory.
+        keep: Whether all frames stay in memory.
     """
     nodes = float(np.prod(np.ptp(particles.x, axis=0) / scene.dx + WINDOW))
     work = Work.from_counts(
@@ -307,7 +294,7 @@ def estimate_memory(
         gaussians: Number of Gaussians.
         particles: Number of particles.
         nodes: Number of grid nodes.
-        frames: Number of frames that stay in memory.
+        frames: Number of frames in memory.
     """
     double = 2 if scene.precision == "float64" else 1
     each = BYTES_PER_POINT if _only_lattices(scene) else BYTES_PER_PARTICLE

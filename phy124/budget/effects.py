@@ -1,7 +1,6 @@
 """Lists the physical and numerical effects that a scene includes and those that it omits.
 
-The lists depend only on the scene. An omitted effect is not compiled, has no arrays and launches no
-kernels.
+An omitted effect is not compiled, has no arrays and launches no kernels.
 """
 
 from __future__ import annotations
@@ -20,20 +19,17 @@ from phy124.scene.lattices import choose_solver, reason_for_mpm
 from phy124.scene.liquids import reason_for_compressible
 
 NODE = 1.8
-"""Time to clear and update one grid node [ns]."""
+"""Time per grid node [ns]."""
 SPLINE = 157
-"""Time per particle to compute the gradients of the interpolation weights, in code that is not
-vectorised [ns].
-"""
+"""Time per particle for gradients of the weights, without vectorisation [ns]."""
 STATIC = "static Gaussians"
-"""Name of the effect for the static parts of the scene."""
 DENSE = 100**3
 """Number of nodes of the dense grid in PhysGaussian's scenes."""
 
 
 @dataclass(frozen=True)
 class Effects:
-    """The effects that a run of a scene computes, and the effects that it omits."""
+    """The effects that a run computes, and those that it omits."""
 
     ran: tuple[str, ...]
     left_out: tuple[Effect, ...]
@@ -50,17 +46,16 @@ class Effects:
         observers: Sequence[Observer] = (),
         no_lattice: str | None = None,
     ) -> Effects:
-        """Return the effects that a scene requires, and the effects that a run omits.
+        """Return the effects that a run computes, and those that it omits.
 
         Args:
             scene: The scene.
             sh_degree: Degree of the Gaussians' spherical harmonics.
             device: Warp device.
             static: Number of static Gaussians in a finished run; None before a run.
-            materials: Materials of the particles from a file; empty if the scene's materials are
-                used.
+            materials: Materials of the particles from a file, or empty.
             observers: Observers of a finished run; empty before a run.
-            no_lattice: Reason why no object of a finished run is on a lattice; None before a run.
+            no_lattice: Reason why no object of a finished run is on a lattice.
         """
         why = reason_for_mpm(scene, device) if no_lattice is None else no_lattice
         scene = choose_solver(scene, device)
@@ -77,10 +72,9 @@ class Effects:
     def data(
         self, *, particles: int = 0, substeps: int = 0, nodes: int = 0, threads: int = 1
     ) -> dict[str, Any]:
-        """Return the lists of effects as plain data for the report.
+        """Return plain data for the report.
 
-        If the counts of a run are passed, the data also contain the time [s] saved by each omitted
-        effect. The time is estimated from measured costs per particle and node.
+        With counts of a run, the data contain the time [s] saved by each omitted effect.
 
         Args:
             particles: Number of particles.
@@ -101,7 +95,6 @@ class Effects:
 def _catalogue(
     subject: Subject, sh_degree: int, device: str, observers: Sequence[Observer], no_lattice: str
 ) -> Iterator[Effect]:
-    """Yield every effect, in the order of the report."""
     scene = subject.scene
     yield from _of_materials(scene, subject.materials)
     yield from _of_forces(scene)
@@ -124,7 +117,6 @@ def _catalogue(
 
 
 def _of_liquid(scene: Scene) -> Iterator[Effect]:
-    """Yield the effects of liquids whose pressure is computed by projection."""
     yield Effect("pressure projection")
     yield Effect("density kept by moving particles")
     inviscid = (
@@ -140,10 +132,8 @@ def _of_liquid(scene: Scene) -> Iterator[Effect]:
 def _of_materials(scene: Scene, materials: Sequence[AnyMaterial]) -> Iterator[Effect]:
     """Yield the effects of the materials.
 
-    Each cost is the difference between the times of two kernels. For viscosity, the kernels with
-    and without viscosity are compared. For return mapping, the G2P kernels for metal and for an
-    elastic law are compared. For several materials, the kernels with one law per particle and with
-    a single law are compared.
+    Each cost is the difference between the times of two kernels: with and without viscosity; G2P
+    for metal and for an elastic law; one law per particle and a single law.
     """
     if scene.projects:
         yield from _of_liquid(scene)
@@ -171,10 +161,6 @@ def _of_materials(scene: Scene, materials: Sequence[AnyMaterial]) -> Iterator[Ef
 
 
 def _of_forces(scene: Scene) -> Iterator[Effect]:
-    """Yield the effects of the forces.
-
-    The costs were measured with a force on a region and with a force that varies over time.
-    """
     pushes = [force for force in scene.acting if not force.uniform]
     timed = any(force.varies for force in scene.acting)
     moving = any(wall.moves for wall in scene.boundaries)
@@ -188,10 +174,7 @@ def _of_forces(scene: Scene) -> Iterator[Effect]:
 
 
 def _of_observers(subject: Subject, observers: Sequence[Observer]) -> Iterator[Effect]:
-    """Yield the checks that are made in each substep, and then the effect of each observer.
-
-    Observers that a caller added are included.
-    """
+    """Yield the checks in each substep, and the effect of each observer."""
     every = subject.scene.checks.measure
     yield Effect(f"limits of the substep measured every {every} substeps or sooner")
     yield Effect("trial substeps, which are repeated with a shorter substep if they are too long")
@@ -203,7 +186,6 @@ def _of_observers(subject: Subject, observers: Sequence[Observer]) -> Iterator[E
 
 
 def _of_frames(scene: Scene, sh_degree: int) -> Iterator[Effect]:
-    """Yield the optional quantities that a clip's frames may contain."""
     yield Effect(
         "velocities", scene.velocities, "not requested; viewers derive them from the positions"
     )
@@ -214,7 +196,6 @@ def _of_frames(scene: Scene, sh_degree: int) -> Iterator[Effect]:
 
 
 def _of_pictures(scene: Scene) -> Iterator[Effect]:
-    """Yield the effects that change the videos."""
     stage = scene.view.stage
     why = f"view.stage is {stage}: pictures show the object alone"
     yield Effect("floor, its shadow, boundaries in pictures", stage == "studio", why)
@@ -225,11 +206,6 @@ def _of_pictures(scene: Scene) -> Iterator[Effect]:
 
 
 def _of_numerics(scene: Scene, device: str) -> Iterator[Effect]:
-    """Yield the numerical methods.
-
-    The cost of double precision is the time in float64 minus the time in float32. The cost of
-    singular values is the time of Warp's svd3.
-    """
     bound = scene.binding == "particles"
     why = "binding is lattice: each Gaussian follows the particles inside and around it"
     yield Effect("one particle for each Gaussian", bound, why)

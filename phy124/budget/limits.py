@@ -1,4 +1,4 @@
-"""Refuses runs whose estimated time or memory exceeds the limits, and suggests cheaper settings."""
+"""Refuses runs beyond the limits of time or memory, and suggests cheaper settings."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -23,15 +23,13 @@ from phy124.runtime.memory import MEMORY_FRACTION, free_memory
 from phy124.scene import Scene
 
 MUCH_STIFFER = 3.0
-"""A note names the stiffest part of the scene if the largest wave speed is at least this multiple
-of the second largest."""
+"""Ratio of the two largest wave speeds above which a note names the stiffest part."""
 MANY, LONG = 5.0, 20.0
-"""A note about the speed of an object is printed if the run needs at least `MANY` times as many
-substeps as at rest, and if this takes at least `LONG` seconds on a CPU.
+"""A note about speed is printed if the run needs `MANY` times as many substeps as at rest, and
+`LONG` seconds on a CPU.
 """
 FARTHEST_CELLS = 1e5
-"""Largest distance from the origin [cells] at which float32 still resolves a hundredth of a
-cell."""
+"""Largest distance [cells] at which float32 resolves a hundredth of a cell."""
 
 
 def check_limits(
@@ -45,11 +43,11 @@ def check_limits(
     """Check that a run stays within the limits, and return its estimated time and memory.
 
     Args:
-        gaussians: The object's Gaussians, as placed in the scene.
+        gaussians: The object's Gaussians in the scene.
         particles: The object's particles.
         scene: The scene.
         device: Warp device.
-        keep: True if all frames stay in memory.
+        keep: Whether all frames stay in memory.
 
     Raises:
         InputError: The run would exceed its time budget or the free memory. The error is also
@@ -82,7 +80,6 @@ def check_limits(
 
 
 def _check_memory(need: Estimate, scene: Scene, device: str) -> None:
-    """Refuse a run that needs too much of the free memory of its device or of this machine."""
     on_device = math.inf if device == "cpu" else free_memory(device)
     if need.state > MEMORY_FRACTION * on_device:
         raise InputError(
@@ -104,7 +101,7 @@ def _check_memory(need: Estimate, scene: Scene, device: str) -> None:
 
 
 def _check_distance(scene: Scene) -> None:
-    """Refuse objects so far from the origin that float32 does not resolve a hundredth of a cell."""
+    """Refuse objects so far away that float32 does not resolve a hundredth of a cell."""
     lift, most = scene.object.lift, _round(FARTHEST_CELLS * scene.dx)
     if lift > most:
         raise InputError(
@@ -126,10 +123,7 @@ def _check_distance(scene: Scene) -> None:
 def _find_remedies(
     scene: Scene, excess: float, fits: Callable[[Scene], bool]
 ) -> tuple[Remedy, ...]:
-    """Return the changes of the scene for which `fits` is true.
-
-    So far, the run needs `excess` times its budget.
-    """
+    """Return the changes for which `fits` is true; the run needs `excess` times its budget."""
     fitting = []
     for remedy in _propose_remedies(scene, excess):
         try:
@@ -142,7 +136,7 @@ def _find_remedies(
 
 
 def _propose_remedies(scene: Scene, excess: float) -> Iterator[Remedy]:
-    """Yield changes of the scene that may suffice, beginning with a longer substep."""
+    """Yield changes that may suffice, beginning with a longer substep."""
     timing = scene.time.model_copy(update={"substep": None})
     automatic = rest_substeps(scene.model_copy(update={"time": timing}))
     if scene.time.substep is not None and automatic < rest_substeps(scene):
@@ -164,7 +158,7 @@ def _propose_remedies(scene: Scene, excess: float) -> Iterator[Remedy]:
 
 
 def _list_materials(scene: Scene) -> list[tuple[str, AnyMaterial]]:
-    """Return the field and the material of each moving part, sorted by decreasing wave speed."""
+    """Return field and material of each moving part, by decreasing wave speed."""
     materials = []
     prefixes = ["", *(f"objects.{i}." for i in range(len(scene.objects)))]
     for prefix, body in zip(prefixes, (scene, *scene.objects), strict=True):
@@ -178,7 +172,7 @@ def _list_materials(scene: Scene) -> list[tuple[str, AnyMaterial]]:
 
 
 def _round(value: float) -> float:
-    """Round a value to two significant digits, so that a user can type it."""
+    """Round to two significant digits, which a user can type."""
     return float(f"{value:.2g}")
 
 
@@ -188,7 +182,7 @@ def note_costs(scene: Scene) -> list[str]:
 
 
 def _note_speed(scene: Scene) -> str | None:
-    """Return a note if the objects may become so fast that the run takes long, else None."""
+    """Return a note if the speed of objects may make the run long."""
     substeps, seconds = count_substeps(scene), USUAL["cpu"].seconds(Work.of(scene))["simulate"]
     ratio = substeps / max(rest_substeps(scene), scene.time.frames)
     if ratio < MANY or seconds < LONG:
@@ -202,9 +196,9 @@ def _note_speed(scene: Scene) -> str | None:
 
 
 def _note_stiffest_part(scene: Scene) -> str | None:
-    """Return a note if one material needs many more substeps than the other materials, else None.
+    """Return a note if one material needs many more substeps than the others.
 
-    Liquids with projected pressure are ignored, because their steps do not depend on a stiffness.
+    The steps of projected liquids do not depend on a stiffness.
     """
     listed = _list_materials(scene)
     fastest, *others = [m for m in listed if not scene.projects or m[1].law != "fluid"] or listed
@@ -226,7 +220,7 @@ def _note_stiffest_part(scene: Scene) -> str | None:
 
 
 def duration(seconds: float) -> str:
-    """Format a duration [s] as text in seconds, hours or days."""
+    """Format a duration [s] in seconds, hours or days."""
     if seconds < 10:
         return f"{seconds:.2g} s"
     if seconds < 5400:

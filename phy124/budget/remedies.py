@@ -12,7 +12,7 @@ from phy124.forces import SetVelocity
 from phy124.scene import Scene
 
 SURE = "solver", "law"
-"""If particles can replace lattices, only the `REMEDIES` with these keys are proposed.
+"""Only these `REMEDIES` are proposed if particles can replace lattices.
 
 When undamped bodies were pressed to a fifth of their height, another solver helped in all of 7
 stopped runs, and so did another law. Halving the speeds and forces helped in 5 of the 7 runs, and
@@ -20,19 +20,15 @@ so did damping. In stopped runs of random scenes, another solver helped in 6 of 
 in 4 of 6, half the speeds in 3 of 6, and damping in 0 of 4.
 """
 SOFTER = 16.0
-"""Factor by which a remedy divides E, so that the longest substep is four times as long."""
+"""Factor by which a remedy divides E; the longest substep is then four times as long."""
 
 
 def find_remedies(
     causes: Sequence[str], scene: Scene, time: float = math.inf
 ) -> tuple[Remedy, ...]:
-    """Return the remedies that address the causes of a stop; omit those that would not change the
-    scene.
+    """Return the remedies for a stop in a frame at `time` [s] that would change the scene.
 
-    Args:
-        causes: Keys of `REMEDIES`, the likeliest first.
-        scene: The scene.
-        time: Time of the frame in which the run stopped [s].
+    `causes` are keys of `REMEDIES`, the likeliest first.
     """
     if "push" in causes and (motion := _end_motion(scene, time)):
         return (motion,)  # while the object is moved into the obstacle, no other change helps
@@ -42,7 +38,7 @@ def find_remedies(
 
 
 def _changes(remedy: Remedy, scene: Scene) -> bool:
-    """Return whether a remedy changes a scene and the changed scene is valid."""
+    """Return whether a remedy leads to a different, valid scene."""
     try:
         return scene.replaced(remedy.changes) != scene
     except InputError:
@@ -50,7 +46,7 @@ def _changes(remedy: Remedy, scene: Scene) -> bool:
 
 
 def advise(remedies: Sequence[Remedy]) -> str:
-    """Join the remedies to one sentence; the sentence is empty if there are no remedies."""
+    """Return a sentence with the remedies, or ""."""
     words = [remedy.words for remedy in remedies]
     return f"Use {join_alternatives(words)}." if words else ""
 
@@ -61,10 +57,7 @@ def join_alternatives(words: Sequence[str]) -> str:
 
 
 def change_accuracy(scene: Scene, **values: Any) -> Remedy:
-    """Return the remedy that changes values in the scene's section `accuracy`.
-
-    The changed accuracy no longer has the name of a preset.
-    """
+    """Return the remedy that changes values in `accuracy`; the accuracy then has no name."""
     changed = scene.resolution.model_copy(update=values).model_dump()
     words = ", ".join(f"accuracy.{name} = {_format(value)}" for name, value in values.items())
     return Remedy(words, {"accuracy": changed})
@@ -95,10 +88,10 @@ def _halve_push(scene: Scene) -> Remedy | None:
 
 
 def _end_motion(scene: Scene, time: float) -> Remedy | None:
-    """Return the remedy that shortens the prescribed motions that were active at `time`.
+    """Return the remedy that shortens the prescribed motions at `time`.
 
-    In a test, a ball was moved into the ground until the run stopped. The run succeeded when the
-    motion ended after half of the time until the stop.
+    A ball was moved into the ground until the run stopped. The run succeeded when the motion ended
+    after half of this time.
     """
     changes: dict[str, Any] = {}
     for index, force in enumerate(scene.forces):
@@ -111,7 +104,6 @@ def _end_motion(scene: Scene, time: float) -> Remedy | None:
 
 
 def _leave_lattice(scene: Scene) -> Remedy | None:
-    """Return the remedy that simulates elastic objects with particles."""
     return change_accuracy(scene, solver="mpm") if scene.on_lattice else None
 
 
@@ -125,9 +117,8 @@ def _choose_sounder_law(scene: Scene) -> Remedy | None:
 
 
 def _shorten_substep(scene: Scene) -> Remedy | None:
-    """Return the remedy that divides the substep by four; half the substep has already failed.
-
-    On lattices, a quarter of the substep helped in none of three random scenes.
+    """Divide the substep by four, because half the substep has failed. On lattices, a quarter
+    helped in none of three random scenes.
     """
     if scene.on_lattice:
         return None
@@ -153,14 +144,9 @@ def _soften(scene: Scene) -> Remedy | None:
 def find_speedups(scene: Scene, limiter: str, done: float) -> tuple[Remedy, ...]:
     """Return remedies for a run that has taken twice its time budget.
 
-    The remedies lengthen the substep, coarsen the grid, or raise the budget. The proposed budget
-    assumes that the run's time is proportional to the square of the clip's duration, as in an
-    accelerated motion.
-
-    Args:
-        scene: The scene.
-        limiter: The limit that determines the substep, a key of `SLOW`.
-        done: Fraction of the clip's duration that has been simulated.
+    `limiter` is a key of `SLOW`, and `done` the fraction of the clip that is simulated. The
+    proposed budget assumes that the time is proportional to the square of the clip's duration, as
+    in an accelerated motion.
     """
     needed = min(1e8, 4 * scene.time.budget / max(done, 1e-2) ** 2)
     budget = change_field("time.budget", float(f"{needed:.2g}"))
@@ -175,7 +161,7 @@ SLOW = {
     "user": ("ceiling",),
     "wave": (),
 }
-"""For each limit of the substep, the keys of the `REMEDIES` that lengthen the substep."""
+"""Keys of the `REMEDIES` that lengthen the substep, by limit."""
 
 
 def _reduce_viscosity(scene: Scene) -> Remedy | None:
@@ -203,9 +189,7 @@ REMEDIES: dict[str, Callable[[Scene], Remedy | None]] = {
     "friction": _reduce_viscosity,
     "ceiling": _raise_ceiling,
 }
-"""For each cause of a stop, a function that returns the remedy for a scene, or None if there is
-none.
-"""
+"""Functions that return the remedy for a scene or None, by cause of a stop."""
 
 
 def _format(value: Any) -> str:
