@@ -106,8 +106,6 @@ def run_for_goal(
 
 @dataclass
 class _Runs:
-    """Runs of a scene on several grids, by cells across the object."""
-
     gaussians: Gaussians
     scene: Scene
     context: RunContext
@@ -166,7 +164,7 @@ class _Runs:
 
     @property
     def torn(self) -> list[int]:
-        """Grids on which the material may have torn; estimates of the error ignore them."""
+        """Grids on which the material may have torn; estimates of the error ignore such grids."""
         tearing = {level: run.find(Tearing) for level, (run, _) in self.done.items()}
         return sorted(level for level, search in tearing.items() if search and search.likely)
 

@@ -114,9 +114,7 @@ class OwnError(NamedTuple):
     at_most: float | None = None
     """Upper bound of the RMS distance, relative to the object's size."""
     until: float | None = None
-    """Time after which the motion depends on the grid [s]; the error holds only before this
-    time.
-    """
+    """Time after which the motion depends on the grid [s]; the error holds only until then."""
     cells: int | None = None
     """Cells across the object in the companion run."""
     cost: float | None = None
@@ -288,7 +286,6 @@ def _prepare(setup: Setup, scene: Scene) -> Setup:
 
 
 def _sample(setup: Setup) -> NDArray[np.int64]:
-    """Return the moving Gaussians to compare, without grains."""
     moving = np.flatnonzero(setup.appearance.moves[: len(setup.gaussians)])
     return moving[np.linspace(0, len(moving) - 1, min(SAMPLE, len(moving))).astype(np.int64)]
 

@@ -48,7 +48,7 @@ THINNEST = 0.7
 SOLID = Proportions(thickness=1.0, compliance=0.1)
 """Proportions of a thick object."""
 STIFFEST, SOFTEST = 0.02, 100.0
-"""Range of the compliance in which the error depends on it."""
+"""Smallest and largest compliance between which the error depends on the compliance."""
 
 
 class Expectation(NamedTuple):
@@ -181,7 +181,7 @@ def predict(
 
 
 def _clamp(values: Mapping[str, float], measured: Mapping[str, Any]) -> dict[str, float]:
-    """The model must never extrapolate."""
+    """Limit properties to the measured ranges, because the model must never extrapolate."""
     return {
         name: min(max(value, measured[name][0]), measured[name][1])
         for name, value in values.items()

@@ -1,8 +1,9 @@
 """Forecasts the time of a run before it starts.
 
 The time [s] is substeps * (a * particles + b * nodes) + frames * (shapes + views * pictures). The
-rates a and b are measured in trial runs, and the number of substeps in a pilot run on a coarse grid
-(`phy124.accuracy.probe`). The forecast is less reliable if the particles' speed limits the substep.
+rates a and b are measured in trial runs. The number of substeps comes from a pilot run on a coarse
+grid (`phy124.accuracy.probe`). The forecast is less reliable if the particles' speed limits the
+substep.
 """
 
 from __future__ import annotations

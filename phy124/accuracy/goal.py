@@ -76,7 +76,7 @@ def format_error(kind: Kind, value: float) -> str:
 
 
 def describe_goal(goal: Mapping[str, Any], seconds: float) -> str:
-    """Describe how a run of `seconds` met its goal, from its report."""
+    """Describe how a run of `seconds` met its goal, from the entry `goal` of the report."""
     target, grid = goal["target"], f"D/{goal['cells']}"
     if goal["unit"] == "seconds":
         return f"asked for at most {target}: {grid} takes {seconds:.1f} s"

@@ -170,7 +170,6 @@ def _advance(solver: AnySolver, substeps: int, after: Callable[[], None] | None)
 
 
 def _node_fraction(solver: AnySolver) -> float:
-    """Return the fraction of the time that is proportional to the number of nodes."""
     walls = {stage.name for stage in solver.boundaries}
     total = nodes = 0.0
     for worker in solver.workers:

@@ -1,8 +1,8 @@
 """States the error of a scene or of a run (the "promise"), and formats all messages about errors.
 
-Before a run, the error is predicted (phy124/accuracy/expectation.py). After a run, it was estimated
-(phy124/accuracy/companion.py) or measured for a goal. The bound of an error that was measured for a
-scene held for 95 % of the objects and scenes with which it was compared.
+Before a run, the error is predicted (phy124/accuracy/expectation.py). After a run, the error was
+estimated (phy124/accuracy/companion.py) or measured for a goal. The bound of an error that was
+measured for a scene held for 95 % of the objects and scenes with which it was compared.
 """
 
 import math
@@ -109,7 +109,6 @@ class Promise:
 
 
 def _promise_of_run(report: Mapping[str, Any]) -> Promise | None:
-    """Return the error in a run's report, or the reason why it is missing."""
     broken = why_broken(report)
     if broken:
         return refuse_promise(broken)

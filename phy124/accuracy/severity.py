@@ -61,7 +61,7 @@ def poisson(scene: Scene) -> float:
 def bar_speed(section: AnyMaterial) -> float:
     """Return the speed of waves along a bar [m/s], sqrt(E / rho) for elastic materials.
 
-    Unlike the speed of pressure waves, it remains finite as Poisson's ratio approaches 0.5.
+    Unlike the speed of pressure waves, this speed remains finite as Poisson's ratio approaches 0.5.
     """
     if isinstance(section, Elastic):
         return math.sqrt(section.E / section.density)

@@ -182,7 +182,6 @@ def note_costs(scene: Scene) -> list[str]:
 
 
 def _note_speed(scene: Scene) -> str | None:
-    """Return a note if the speed of objects may make the run long."""
     substeps, seconds = count_substeps(scene), USUAL["cpu"].seconds(Work.of(scene))["simulate"]
     ratio = substeps / max(rest_substeps(scene), scene.time.frames)
     if ratio < MANY or seconds < LONG:

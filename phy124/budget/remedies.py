@@ -38,7 +38,6 @@ def find_remedies(
 
 
 def _changes(remedy: Remedy, scene: Scene) -> bool:
-    """Return whether a remedy leads to a different, valid scene."""
     try:
         return scene.replaced(remedy.changes) != scene
     except InputError:
@@ -69,7 +68,6 @@ def change_field(field: str, value: Any) -> Remedy:
 
 
 def _halve_push(scene: Scene) -> Remedy | None:
-    """Return the remedy that halves all speeds and forces, including gravity."""
     changes: dict[str, Any] = {}
     others = [(f"objects.{index}", other) for index, other in enumerate(scene.objects)]
     for path, body in (("object", scene.object), *others):
@@ -91,7 +89,7 @@ def _end_motion(scene: Scene, time: float) -> Remedy | None:
     """Return the remedy that shortens the prescribed motions at `time`.
 
     A ball was moved into the ground until the run stopped. The run succeeded when the motion ended
-    after half of this time.
+    after half of the time until the stop.
     """
     changes: dict[str, Any] = {}
     for index, force in enumerate(scene.forces):

@@ -125,7 +125,6 @@ class Contacts(Observer):
     def _measure(
         self, wall: Boundary, stages: Sequence[Stage], model: Model, state: State
     ) -> tuple[Stage, Stage, Stage]:
-        """Return the stages before a wall acts, and two after."""
         near = NodesNear([wall], model)
         copy, changed, share = contact_kernels(model.real)
         corners: list[wp.array] = []

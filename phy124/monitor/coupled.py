@@ -66,7 +66,7 @@ class CoupledWork(ExternalWork):
         super().bind(solver, observers)
 
     def _read_impulses(self) -> None:
-        """Keep the impulses of the previous walls; also sum those of the new walls."""
+        """Keep the impulses of the previous walls, and sum the impulses of the new walls."""
         if MEAN in self._device:
             self._closed[MEAN] = self._closed[MEAN] + self._open(MEAN)
         self._device[MEAN] = self._solver.lattice.walls.sums

@@ -231,7 +231,7 @@ class ExternalWork(Observer):
         self.stored = snapshot.get("stored", 0.0)
 
     def _sum(self, *names: str) -> Sums:
-        """Return the sums of the named causes; none: all."""
+        """Return the sums of the named causes; without names, of all causes."""
         total = np.zeros(kernels.EXCHANGE)
         for name in names or SOURCES:
             total += self._closed[name]
@@ -288,7 +288,6 @@ class ExternalWork(Observer):
     def _attach_push(
         self, stages: Sequence[Stage], model: Model, state: State
     ) -> tuple[Stage, Stage]:
-        """Return the stages before and after the forces act."""
         keeps_C = all(stage.keeps_C for stage in stages)
         copied = [wp.empty_like(state.v), wp.empty_like(state.C[:0] if keeps_C else state.C)]
         copy = kernels.make_push_copy(model.real, keeps_C)
@@ -320,7 +319,6 @@ class ExternalWork(Observer):
     def _attach_walls(
         self, walls: Sequence[Boundary], stages: Sequence[Stage], model: Model, state: State
     ) -> tuple[Stage, Stage]:
-        """Return the stages before and after the walls act."""
         near, kernel = NodesNear(walls, model), kernels.make_wall_sums(model.real)
 
         def after(grid: Grid) -> wp.Launch | None:

@@ -34,7 +34,7 @@ class ImmersedWork(PoolWork, MeanWork):
         self.follow_steps(solver)
 
     def change(self, scene: Scene) -> None:
-        """Keep the impulses of the previous walls; also sum those of the new walls."""
+        """Keep the impulses of the previous walls, and sum the impulses of the new walls."""
         self._closed[BODIES] = self._closed[BODIES] + self._open(BODIES)
         self._read_impulses()
 

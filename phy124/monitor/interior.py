@@ -183,7 +183,6 @@ class Interior(Observer):
 
     @cached_property
     def _inside(self) -> NDArray[np.intp]:
-        """Particles that a tear may expose, object by object [I]."""
         return np.concatenate([inside for _, inside, _ in self._objects])
 
     @cached_property
@@ -194,7 +193,6 @@ class Interior(Observer):
     def _prepare_object(
         self, gaussians: NDArray[np.intp], particles: NDArray[np.intp], free: NDArray[np.bool_]
     ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Return the particles that a tear may expose, and their neighbours."""
         x = self._rest.x[particles]
         candidates = np.flatnonzero(free)
         inside = candidates[leave_room(self._surface(gaussians), x[candidates], self._spacing)]

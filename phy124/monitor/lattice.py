@@ -122,7 +122,7 @@ class LatticeWork(MeanWork):
         super().bind(solver, observers)
 
     def change(self, scene: Scene) -> None:
-        """Keep the impulses of the previous walls; also sum those of the new walls."""
+        """Keep the impulses of the previous walls, and sum the impulses of the new walls."""
         self._closed[MEAN] = self._closed[MEAN] + self._open(MEAN)
         self._device[MEAN] = self._solver.walls.sums
         self._solver.record()
@@ -140,7 +140,6 @@ class LatticeWork(MeanWork):
 
 
 def _sums_uniform_work(subject: Subject) -> bool:
-    """Return whether the work of a constant acceleration is summed in every substep."""
     scene = subject.scene
     others = scene.boundaries or scene.objects or not all(f.uniform for f in scene.acting)
     return subject.changes or bool(others)

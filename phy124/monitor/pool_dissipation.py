@@ -62,8 +62,8 @@ class PoolDissipation(LiquidDissipation):
     def false_gain(self) -> float:
         """Return the energy [J] that the exchange between liquid and bodies has created.
 
-        Where a light body rises, displacements that restore the density fill its wake. This takes
-        the work on the body from the liquid's potential energy.
+        Where a light body rises, displacements that restore the density fill its wake. The work on
+        the body then comes from the liquid's potential energy.
         """
         projection = self._projection()
         return max(0.0, min(-projection, -projection - self._energies.read().density))
@@ -179,7 +179,7 @@ class MixedDissipation(PoolDissipation):
         return solver.liquid
 
     def _of_bodies(self, stored: float) -> dict[str, float]:
-        """If walls move, their work on the bodies includes friction."""
+        """The work of moving walls on the bodies includes friction."""
         assert self._external is not None
         work = self._external.of_grids()
         walls, contact = (work, 0.0) if self._driven else (0.0, 0.0 - work)

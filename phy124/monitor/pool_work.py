@@ -67,9 +67,6 @@ class PoolWork(ExternalWork):
         return total._replace(impulse=total.impulse - late)
 
     def _add_step(self) -> None:
-        """Add impulse and work of one step; for a constant acceleration, the work is acceleration
-        times displacement.
-        """
         if not self.by_momentum:
             return
         liquid, before, now = self._pool.liquid, self._before, self._measure()

@@ -148,7 +148,6 @@ class Sleep(Observer):
         return row._replace(name=f"{row.name}: asleep from frame {self.since}, {saved}")
 
     def _rests(self, index: int) -> bool:
-        """Return whether the image stays constant until a force or boundary changes."""
         if not self.speeds:
             return False
         until = self._quiet_until((index - 1) / self._fps)

@@ -39,8 +39,9 @@ FEW = 2
 ENERGY_GAIN = 0.25
 """Tolerated spurious energy, relative to the largest supplied energy.
 
-The spurious momentum was below 0.7 % in 99 % of 6,500 random scenes. In the worst scene, it reached
-13 %. In an unstable run, the spurious energy exceeds any limit within a few frames.
+The spurious momentum was below 0.7 % in 99 % of 6,500 random scenes. In the worst scene, the
+spurious momentum reached 13 %. In an unstable run, the spurious energy exceeds any limit within a
+few frames.
 """
 EXCHANGE_GAIN = 0.25
 """Fraction of the largest supplied energy above which energy created by the exchange between a
@@ -55,8 +56,8 @@ thinner than a cell exert up to a quarter less than their weight on walls. When 
 cells wide hit the floor, the measured momentum is up to 35 % too small.
 """
 LEVEL = 0.05
-"""Error of the level of a resting liquid [cells]; spurious energy is compared with at least this
-lift.
+"""Error of the level of a resting liquid [cells]. Spurious energy is compared with at least the
+energy of such a lift.
 """
 CROWDED = 0.1
 """Largest mean excess of density of a projected liquid that has enough space."""
@@ -362,7 +363,6 @@ class Watchdog(Observer):
         return Violation(what, ROUNDED if self.model.precision == "float32" else self._unstable())
 
     def _unstable(self) -> tuple[str, ...]:
-        """Return possible causes of instability."""
         violent = self.min_J < SQUEEZED or self.clock.stable().limiter in ("speed", "gradient")
         return ("solver", "substep", *(("law", "push") if violent else ()))
 

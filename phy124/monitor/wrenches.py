@@ -100,7 +100,6 @@ class Wrenches(Observer):
         self._read_impulses()
 
     def _read_impulses(self) -> None:
-        """Read the impulses on walls that the solver of the liquid sums."""
         solver: Any = self._solver
         if self._of_walls and solver.projects:
             impulses = solver.impulses

@@ -195,7 +195,7 @@ def _points_of_pieces(
 
 
 def _clear(solid: Solid) -> NDArray[np.bool_]:
-    """Resampling leaves voxels with almost no material around the body."""
+    """Return a mask without the nearly empty voxels that resampling leaves around the body."""
     index, fraction = solid.voxels[:2]
     filled = np.zeros(solid.fraction.shape)
     filled[tuple(index.T)] = fraction
@@ -293,7 +293,6 @@ def _spread_along(rows: NDArray, distance: float) -> NDArray[np.float64]:
 
 
 def _outermost(rows: NDArray, side: float) -> NDArray[np.float64]:
-    """Return the outermost surface point in each cube."""
     cube = np.floor(rows[:, :3] / side - 1e-6).astype(np.int64)
     low, size = cube.min(axis=0), np.ptp(cube, axis=0) + 1
     _, which = np.unique(np.ravel_multi_index((cube - low).T, size), return_inverse=True)

@@ -22,7 +22,7 @@ signs.
 AROUND = np.stack(np.meshgrid(*[np.arange(-1, 2)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
 """Index offsets from a cell or node to itself and to its 26 neighbours."""
 LEAST = 0.08
-"""A separate sliver with a smaller filled fraction is not merged with another piece. With a limit
+"""Smallest filled fraction of a separate sliver that is merged with another piece. With a limit
 of 0.03, a thin disc turned inside out when it was pushed.
 """
 TOUCH = np.abs(AROUND[:, None] - AROUND[None]).max(axis=2) <= 1
@@ -246,7 +246,6 @@ def _doubtful_nodes(
 def _rank(
     group: NDArray, node: NDArray, island: NDArray, volume: NDArray, count: int
 ) -> NDArray[np.int64]:
-    """Return which copy of a node each piece uses [K]."""
     size = np.bincount(group, volume, count)
     of_node, of_island = np.zeros(count, np.int64), np.zeros(count, np.int64)
     of_node[group], of_island[group] = node, island

@@ -196,7 +196,7 @@ class _Voxels:
 
 
 def _voxelise(gaussians: Gaussians) -> _Voxels:
-    """Return the finest grid on which samples are connected, otherwise the finest grid."""
+    """Return the finest grid on which samples are connected, or the finest grid of all."""
     extent = _extent(gaussians)
     finest, voxel = None, float(extent.max()) / ACROSS
     while finest is None or voxel <= 4 * finest.voxel:

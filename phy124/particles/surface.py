@@ -45,7 +45,9 @@ THINNEST = 0.1
 BEYOND = 0.2
 """Distance by which flat Gaussians may stick out beyond a convex edge [voxels]."""
 PREFERRED = 0.6
-"""The part below a neighbouring face is preferred if its thickness is below this multiple."""
+"""The part below a face in a neighbouring voxel is preferred if the part is thinner than this
+multiple of the thickness in the voxel.
+"""
 PARTS = 2
 """Parts along each axis into which a voxel at an edge is divided."""
 AT_ONCE = 100_000
@@ -112,8 +114,6 @@ class Surface(NamedTuple):
 
 
 class _Faces(NamedTuple):
-    """Faces in the order of their voxels; at most one for each side of a voxel."""
-
     voxel: Array
     """Index of each face's voxel in the flattened grid [K]."""
     side: Array

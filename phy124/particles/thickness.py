@@ -81,7 +81,6 @@ def compliance(shape: Solid) -> float:
 
 
 def _inside(shape: Solid) -> NDArray[np.bool_]:
-    """Return the object's voxels in their bounding box."""
     inside = shape.fraction > 0.5 * min(1.0, shape.fraction.max())
     return inside[scipy.ndimage.find_objects(inside.astype(np.int8))[0]]
 

@@ -60,7 +60,6 @@ def thin(gaussians: Gaussians, count: int | None, *, seed: int = 0) -> Gaussians
 
 
 def _morton_order(points: NDArray[np.float32]) -> NDArray[np.int64]:
-    """Return codes [N] along the Morton curve."""
     low, size = points.min(axis=0), float(np.ptp(points, axis=0).max()) or 1.0
     cells = ((points - low) / size * (2**BITS - 1)).astype(np.int64)
     code = np.zeros(len(points), np.int64)

@@ -257,7 +257,6 @@ def go_on(
 
 
 def _refuse_other(scene: dict[str, Any], paused: dict[str, Any], out: PathLike) -> None:
-    """Refuse to continue a run with another scene."""
     asked, before = _flat(scene), _flat(paused)
     for name in {**asked, **before}:
         if asked.get(name) != before.get(name):
@@ -268,7 +267,6 @@ def _refuse_other(scene: dict[str, Any], paused: dict[str, Any], out: PathLike) 
 
 
 def _flat(data: Any, name: str = "") -> dict[str, Any]:
-    """Return nested data with keys such as "time.frames"."""
     parts = data.items() if isinstance(data, dict) else enumerate(data)
     flat: dict[str, Any] = {}
     for key, value in parts:

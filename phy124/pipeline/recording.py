@@ -137,7 +137,7 @@ class Recording:
         self.frames, self.failed = None, True
 
     def drop(self) -> None:
-        """Remove the files of this run, but not those of a run that it continues."""
+        """Remove the files of this run, but not those of an earlier run that this run continues."""
         if self.resumed or not self.saved:
             self.leave()
         else:
@@ -159,7 +159,6 @@ class Recording:
         self.frames, self.failed = None, True
 
     def _begin(self, run: Simulation) -> None:
-        """A search for an accuracy makes several runs."""
         first, self._run, self._last = self._run is None, run, time.perf_counter()
         if first:
             self._put = 0 if self.frames is None else self.saved

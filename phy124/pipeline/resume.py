@@ -262,7 +262,6 @@ def _read(path: Path, *, tensors: bool = True) -> tuple[dict[str, Any], Tensors]
 
 
 def _checksum(tensors: Tensors) -> int:
-    """Return the CRC-32 of all arrays."""
     total = 0
     for name in sorted(tensors):
         total = zlib.crc32(np.ascontiguousarray(tensors[name]).data, total)

@@ -1,6 +1,6 @@
 """Writes the folder of a run: clip, Gaussians, scene, videos and report, or nothing.
 
-Of an earlier run, only files that its report lists are removed.
+Files of an earlier run are removed only if the earlier report lists them.
 """
 
 import json
@@ -234,7 +234,6 @@ class RunFolder:
             write_json(listed, report)
 
     def _pause(self, folder: Path, run: Simulation) -> bool:
-        """Write the state of a run; return whether the run can be continued."""
         try:
             resume.save(run, folder / PAUSE, about=self.about, files=self.files)
         except (OSError, InputError):

@@ -168,7 +168,7 @@ class Scene(Section):
 
     @property
     def resolution(self) -> Accuracy:
-        """Accuracy settings; a name is replaced by its settings."""
+        """Accuracy settings; a named accuracy is replaced by its settings."""
         return PRESETS[self.accuracy] if isinstance(self.accuracy, str) else self.accuracy
 
     @property

@@ -318,7 +318,6 @@ def _join(bodies: list[Body], scene: Scene) -> Body:
 
 
 def _join_appearances(bodies: list[Body]) -> Appearance:
-    """Combine all appearances: first the surfaces, then the grains."""
     looks, surfaces = [body.appearance for body in bodies], [len(body.gaussians) for body in bodies]
     counts = [len(look.moves) for look in looks]
     starts = np.cumsum([0, *counts])
@@ -358,8 +357,6 @@ def _join_appearances(bodies: list[Body]) -> Appearance:
 def _join_particles(
     objects: list[Particles], numbers: list[NDArray[np.int64]], first_kinds: NDArray
 ) -> Particles:
-    """Combine the particles of all objects."""
-
     def join(name: str) -> NDArray[Any]:
         return np.concatenate([getattr(particles, name) for particles in objects])
 

@@ -140,7 +140,6 @@ def _unregistered_notes(classes: dict[str, str]) -> Iterator[str]:
 
 
 def _cfl_note(run: Run) -> list[str]:
-    """Return a note if viscosity shortens the substeps because `accuracy.cfl` is close to 1."""
     clock = run.solver.clock
     cfl, taken = run.scene.resolution.fraction, sum(clock.limiters.values())
     if cfl <= CFL or 2 * clock.limiters.get("viscous", 0) <= taken:

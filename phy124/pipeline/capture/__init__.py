@@ -31,8 +31,8 @@ NEIGHBOURS = 8
 USUAL = 6.0
 """Smallest distance of a floater from its eighth-nearest neighbour, relative to the median."""
 LONG = 3.0
-"""Smallest distance of a floater from its eighth-nearest neighbour, relative to its largest
-standard deviation.
+"""Smallest distance of a floater from its eighth-nearest neighbour, relative to the floater's
+largest standard deviation.
 """
 
 
