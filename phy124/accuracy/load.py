@@ -24,7 +24,7 @@ ALONE = 0.93
 SECOND_THREAD = 1.5
 """Factor on the time of a simulation without a free core for the second thread."""
 MINIMUM, MAXIMUM = 0.8, 1.5
-"""Measured relative to predicted time on an idle machine (docs/lab/forecasts.md)."""
+"""Range of the ratio of measured to predicted time on an idle machine (docs/lab/forecasts.md)."""
 BUSY = 1.2
 """Factor on the range of the predicted time on a busy machine."""
 FRESH = 10.0

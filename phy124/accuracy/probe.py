@@ -57,7 +57,7 @@ FILMED = 2, 6
 TRIES = 2
 """Number of repeated measurements; the shortest time counts."""
 SHORT_STEP = 1e-3
-"""Assumed substep [s] above `LONG_STEP`."""
+"""Substep [s] that is assumed if the stable substep at rest is longer than `LONG_STEP`."""
 LONG_STEP = 0.1
 """Longest substep in trial runs [s]. The stable substep of a viscous liquid at rest may be minutes
 long.

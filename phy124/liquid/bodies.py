@@ -192,11 +192,8 @@ class Bodies(Kept):
     def describe(self, cells: Cells, walls: Walls, ahead: float) -> None:
         """Write the shape and the velocity of all bodies into the cells.
 
-        Args:
-            cells: The cells.
-            walls: The walls.
-            ahead: Time [s] by which the bodies' positions are extrapolated. Without extrapolation,
-                a floating body would gain energy.
+        The positions of bodies are extrapolated by `ahead` [s]. Otherwise, a floating body would
+        gain energy.
         """
         self._ahead = ahead
         model, state, real = self._model, self._state, self._model.real

@@ -73,7 +73,7 @@ class Region:
         self.size = size
         corners = np.stack([np.zeros(3, int), size]).astype(np.int32)
         self.box = wp.array(corners, dtype=wp.vec3i, device=device)
-        """First cell of the box, and the size of the box."""
+        """First cell of the box in the window, and the size of the box."""
 
     def place(self, low: NDArray) -> None:
         """Move the box so that its first cell is `low` [3]."""

@@ -35,8 +35,9 @@ steps. Between these two limits, the last pressure would amplify the vibrations.
 LIGHT_RESOLVED = 8.0
 """Smallest number of steps in a vibration period of a light body."""
 LIGHT_AVERAGED = 0.45
-"""Smallest number of a light body's vibration periods in a longer step. Between the limits, the
-pressure would deform a light body more than the liquid can follow, which would create energy.
+"""Smallest number of a light body's vibration periods in a step, unless a period contains
+`LIGHT_RESOLVED` steps. Between these two limits, the pressure would deform a light body more than
+the liquid can follow, which would create energy.
 """
 
 

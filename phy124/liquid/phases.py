@@ -64,18 +64,7 @@ class Phases:
         free: FreeBodies,
         bodies: Bodies | None,
     ) -> None:
-        """Allocate the arrays that the kernel launches use for every window.
-
-        Args:
-            model: The particles.
-            state: Positions and velocities of the particles.
-            cells: The window of the grid.
-            projection: Solves the equations for pressure and density.
-            workers: The workers.
-            free: Rigid solids that move freely.
-            bodies: Bodies of other materials.
-            missed: Flag of each worker [W,1]; 1 if a particle is outside the window.
-        """
+        """`missed` [W,1] is 1 for each worker with a particle outside the window."""
         self._model, self._state, self._cells = model, state, cells
         self._projection, self._workers, self._missed = projection, workers, missed
         device = model.device

@@ -23,14 +23,6 @@ class Solids:
     def __init__(
         self, model: Model, bodies: FreeBodies, density: float, projection: Projection
     ) -> None:
-        """Store the freely moving solids and the bodies of a run.
-
-        Args:
-            model: The particles of the liquid.
-            bodies: The freely moving rigid solids.
-            density: Density of the liquid [kg/m^3].
-            projection: Solves the pressure equation.
-        """
         self._model, self.bodies, self._projection = model, bodies, projection
         self.scale = density * model.dx**3
         """Mass of a cell that is full of liquid [kg]."""

@@ -9,11 +9,11 @@ from phy124.budget.cost import BYTES_PER_GAUSSIAN
 from phy124.simulation import Simulation
 
 PLY = 4 * 17
-"""Size of a Gaussian [bytes]; each further colour coefficient adds 12 bytes."""
+"""Size of a Gaussian in a PLY file [bytes]; each further colour coefficient adds 12 bytes."""
 PARTICLE = 48
 """Size of a particle in one frame [bytes]."""
 EXPORTED = {"usd": BYTES_PER_GAUSSIAN, "ply": PLY, "html": 8}
-"""Size of a Gaussian in one frame [bytes]."""
+"""Size of a Gaussian in one frame [bytes], by file format."""
 PIXEL = {"png": 1.0, "gif": 0.5, "webp": 0.1, "mp4": 0.05, "webm": 0.05, "mov": 2.0}
 """Approximate size of a pixel [bytes], by video format."""
 OUTPUT = 6

@@ -63,8 +63,8 @@ class Recording:
         self.failed = out is None or not disk.LOCKS_AVAILABLE
         """Whether nothing can be written any more."""
         self.resumed, self.saved = saved > 0, saved
-        """Whether this run continues another run, and the number of frames that would be
-        kept now.
+        """Whether this run continues another run; and the number of frames in the last saved
+        state.
         """
         self._run: Simulation | None = None
         self._put, self._last, self._cost = 0, time.perf_counter(), 0.0

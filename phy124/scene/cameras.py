@@ -137,12 +137,9 @@ class DollyCamera(_Circling):
         return True
 
     def poses(self, times: Values, length: float, usual: Poses) -> Poses:
-        """Return the poses of the camera at some times.
+        """Return the poses of the camera at times [T], s; the path ends at the last time.
 
-        Args:
-            times: Times since the first frame [T], s. The path ends at the last of these times.
-            length: Length of the clip [s]. It is not used.
-            usual: Poses of the view, which apply where this camera sets no value.
+        `usual` has the values that this camera does not set; `length` is not used.
         """
         end = float(times[-1]) or 1.0
         return usual.replace(
@@ -200,12 +197,9 @@ class PathCamera(Section):
         return any((key.distance, key.fov, key.target) != (None,) * 3 for key in self.keys)
 
     def poses(self, times: Values, length: float, usual: Poses) -> Poses:
-        """Return the poses of the camera at some times.
+        """Return the poses of the camera at times [T], s.
 
-        Args:
-            times: Times since the first frame [T], s.
-            length: Length of the clip [s]. It is not used.
-            usual: Poses of the view, which apply where this camera sets no value.
+        `usual` has the values that this camera does not set; `length` is not used.
         """
         values = {}
         for name in Poses._fields:

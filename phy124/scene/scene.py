@@ -173,7 +173,9 @@ class Scene(Section):
 
     @property
     def particles_per_axis(self) -> float:
-        """As set, otherwise the number that the materials need."""
+        """Particles per cell and axis: the number in the scene, or else the number that the
+        materials need.
+        """
         chosen = self.resolution.particles_per_axis
         return chosen or max(section.particles_per_axis for section in self.materials)
 

@@ -215,8 +215,8 @@ def sort_for_slabs(
 
 
 def costliest_scene(scene: Scene, materials: Sequence[AnyMaterial]) -> Scene:
-    """Return the scene from which the cost of the run is estimated, with the fastest waves in a
-    properties file.
+    """Return the scene from which the cost of the run is estimated. A properties file is replaced
+    by its material with the fastest waves.
     """
     if scene.properties is None:
         return scene
