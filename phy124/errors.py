@@ -49,6 +49,7 @@ class InputError(ValueError):
         super().__init__(f"{said}: {limit} {remedy}".rstrip())
 
     def __reduce__(self) -> tuple[type, tuple[object, ...]]:
+        """Support pickle, which would otherwise pass the whole message to the constructor."""
         return type(self), (self.field, self.value, self.limit, self.remedy)
 
 

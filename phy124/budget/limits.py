@@ -25,8 +25,8 @@ from phy124.scene import Scene
 MUCH_STIFFER = 3.0
 """Ratio of the two largest wave speeds above which a note names the stiffest part."""
 MANY, LONG = 5.0, 20.0
-"""A note about speed is printed if the run needs `MANY` times as many substeps as at rest, and
-`LONG` seconds on a CPU.
+"""A note about speed is printed if the run needs at least `MANY` times as many substeps as at rest,
+and at least `LONG` seconds on a CPU.
 """
 FARTHEST_CELLS = 1e5
 """Largest distance [cells] at which float32 resolves a hundredth of a cell."""

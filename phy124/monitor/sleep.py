@@ -3,8 +3,10 @@
 A body with zero speed need not be at rest: a thrown body has zero speed at the top of its path. An
 object counts as at rest if, for Q frames of T seconds, no particle has moved further than D from
 its starting point. Under a constant acceleration, a particle can then move by at most `7 D m (1 +
-m)` in the next `M = m Q` frames. In addition, a vibration in phase with the frames can hide a
-displacement of `v T / (2 pi)`, where v is the largest speed of the vibration.
+m)` in the next `M = m Q` frames. In the worst case, a particle first moved by D to one side and
+turned, and is now at the distance D on the other side, moving away. In addition, a vibration in
+phase with the frames can hide a displacement of `v T / (2 pi)`, where v is the largest speed of the
+vibration.
 
 The object sleeps if the sum of both displacements is invisible and the speed does not grow. Under
 gravity, the object must also have moved much less than a free body would. Otherwise, in a clip with

@@ -151,8 +151,9 @@ def size_transform(
 ) -> tuple[float, NDArray[np.float64]]:
     """Return the scale and offset [3] that make the longest side `size` [m] and centre the object.
 
-    If `ground` is set, the lowest visible point is placed at z = 0. Visible points are within one
-    standard deviation of Gaussians with an opacity of at least 0.1.
+    If `ground` is set, the lowest visible point is placed at z = 0; otherwise, the object is also
+    centred in z. Visible points are within one standard deviation of Gaussians with an opacity of
+    at least 0.1.
 
     Raises:
         InputError: If the size is not positive.
