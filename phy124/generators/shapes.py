@@ -70,7 +70,7 @@ def cover_surface(
         bright: Factors of the colours [N].
         shaded: Whether a light from above shades the surface.
     """
-    wide = _spread(points) if width is None else np.full(len(points), width)
+    wide = _spread(points, normals) if width is None else np.full(len(points), width)
     scales = np.stack([wide, wide, FLATNESS * wide], axis=1)
     facing = (normals @ LIGHT / np.linalg.norm(LIGHT)).clip(-1, 1)
     lit = AMBIENT + (1 - AMBIENT) * facing if shaded else np.ones(len(points))
@@ -92,29 +92,48 @@ def choose_triangles(
         The index of each point's triangle [N], and the point's barycentric coordinates [N,3].
     """
     sides = corners[:, 1:] - corners[:, :1]
-    areas = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1) / 2
+    normals = np.cross(sides[:, 0], sides[:, 1])
+    areas = np.linalg.norm(normals, axis=1) / 2
     rng = np.random.default_rng(seed)
     chosen = rng.choice(len(areas), TRIES * count, p=areas / areas.sum())
     weights = rng.dirichlet((1.0, 1.0, 1.0), len(chosen))
     points = np.einsum("nc,nci->ni", weights, corners[chosen])
-    kept = _thin(points, np.sqrt(areas.sum() / count))
+    kept = _thin(points, normals[chosen], np.sqrt(areas.sum() / count))
     return chosen[kept], weights[kept]
 
 
-def _thin(points: NDArray, width: float) -> NDArray[np.int64]:
-    """Return the indices of the points nearest to the centres of occupied cubes."""
-    cubes = np.floor(points / width)
-    off = np.linalg.norm(points / width - cubes - 0.5, axis=1)
-    order = np.lexsort((off, *cubes.T))
-    first = np.ones(len(order), bool)
-    first[1:] = (np.diff(cubes[order], axis=0) != 0).any(axis=1)
-    return order[first]
+def _thin(points: NDArray, normals: NDArray, width: float) -> NDArray[np.int64]:
+    """Return the indices of one point in each occupied cube of a grid, and of a second point if the
+    cube also contains the other side of a thin sheet.
+    """
+    _, cube = np.unique(np.floor(points / width)[:, ::-1], axis=0, return_inverse=True)
+    cube = cube.ravel()
+    first = _nearest_to_middle(points, cube, width)
+    is_behind = (normals * normals[first][cube]).sum(axis=1) < 0
+    behind = np.flatnonzero(is_behind)
+    _, cube = np.unique(cube[behind], return_inverse=True)
+    second = behind[_nearest_to_middle(points[behind], cube, width)]
+    return np.concatenate([first, second])
 
 
-def _spread(points: NDArray) -> NDArray[np.float64]:
-    """Return 0.75 times the mean distance [m] to the six nearest neighbours [N]."""
-    nearest = scipy.spatial.KDTree(points).query(points, k=min(7, len(points)))[0]
-    return 0.75 * np.maximum(np.asarray(nearest)[:, 1:].mean(axis=1), 1e-9)
+def _nearest_to_middle(points: NDArray, cube: NDArray, width: float) -> NDArray[np.int64]:
+    """Return the index of the point nearest to the middle of each cube, in the order of `cube`."""
+    off = np.linalg.norm(points / width - np.floor(points / width) - 0.5, axis=1)
+    order = np.lexsort((off, cube))
+    is_first = np.diff(cube[order], prepend=-1) != 0
+    return order[is_first]
+
+
+def _spread(points: NDArray, normals: NDArray) -> NDArray[np.float64]:
+    """Return 0.75 times the mean distance [m] from each point to six near points of the same
+    side [N].
+    """
+    near, index = scipy.spatial.KDTree(points).query(points, k=min(13, len(points)))
+    other = (normals[index] * normals[:, None]).sum(axis=2) < -0.5
+    distance = np.sort(np.where(other, np.inf, near), axis=1)[:, 1:7]
+    count = np.isfinite(distance).sum(axis=1)
+    mean = np.where(np.isfinite(distance), distance, 0).sum(axis=1) / np.maximum(count, 1)
+    return 0.75 * np.maximum(mean, 1e-9)
 
 
 def _area(half: NDArray) -> float:

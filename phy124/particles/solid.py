@@ -10,6 +10,7 @@ interior is found in four steps:
   stay open. Wide openings are never sealed.
 - If no radius encloses a cavity, the shell is open (a missing back or bottom). A voxel is then
   inside if axis-parallel rays from the voxel meet the shell in at least five of the six directions.
+  The inside of a vessel whose walls have two sides remains empty (phy124/particles/walls.py).
 - Only the part of a surface voxel below the local surface belongs to the solid
   (phy124/particles/surface.py).
 
@@ -37,6 +38,7 @@ from phy124.particles.cleaning import VISIBLE
 from phy124.particles.resampling import Material, average, move_material
 from phy124.particles.surface import Samples, Surface, find_surface, shortest_axes
 from phy124.particles.voxels import Voxels, find_voxels
+from phy124.particles.walls import is_wall
 
 Mask = NDArray[np.bool_]
 
@@ -179,7 +181,7 @@ def _find_interior(gaussians: Gaussians) -> Solid:
     opaque = gaussians.opacities >= VISIBLE
     some = gaussians.select(opaque) if opaque.any() else gaussians
     grid = _voxelise(some)
-    region, outside = _find_inside(grid.occupied, grid.across)
+    region, outside = _find_inside(grid)
     surface = find_surface(region, region & _dilate(outside, 1), grid.samples)
     fraction = surface.fill(region)
     fraction.flags.writeable = False  # All runs use this array.
@@ -192,6 +194,7 @@ class _Voxels:
     voxel: float
     across: float
     samples: Samples
+    means: NDArray
     occupied: Mask
 
 
@@ -244,7 +247,7 @@ def _rasterise(gaussians: Gaussians, voxel: float, extent: NDArray) -> _Voxels:
     occupied[tuple(points.astype(np.int32).T)] = True
     thickness = 2 * gaussians.scales.min(axis=1).astype(np.float64) / voxel
     samples = Samples(points, owner, shortest_axes(gaussians), thickness)
-    return _Voxels(first, voxel, across, samples, occupied)
+    return _Voxels(first, voxel, across, samples, gaussians.means, occupied)
 
 
 def _sample(gaussians: Gaussians, voxel: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
@@ -277,9 +280,9 @@ def _mean_neighbours(occupied: Mask) -> float:
     return float(around[occupied].mean())
 
 
-def _find_inside(occupied: Mask, across: float) -> tuple[Mask, Mask]:
+def _find_inside(grid: _Voxels) -> tuple[Mask, Mask]:
     """Return the masks of the voxels inside the object and outside."""
-    widest = max(1, int(SEAL * across))
+    occupied, widest = grid.occupied, max(1, int(SEAL * grid.across))
     region, enclosed = occupied.copy(), False
     for r in sorted({1, 2, 3, widest // 2, widest}):
         if r > widest:
@@ -293,7 +296,7 @@ def _find_inside(occupied: Mask, across: float) -> tuple[Mask, Mask]:
     if not enclosed:
         cavity = _deep_parts(_find_enclosed(occupied) & ~region)
         if cavity.sum() > 0.5 * occupied.sum():
-            region |= cavity
+            region |= _without_vessels(cavity, grid)
     return region, ~region
 
 
@@ -321,6 +324,20 @@ def _deep_parts(mask: Mask) -> Mask:
     deep[labels[~_dilate(~mask, 1)]] = True
     deep[0] = False
     parts: Mask = deep[labels]
+    return parts
+
+
+def _without_vessels(cavity: Mask, grid: _Voxels) -> Mask:
+    """Return a cavity without its connected parts that are inside open vessels."""
+    samples = grid.samples
+    labels, count = scipy.ndimage.label(cavity)  # pyright: ignore
+    around = scipy.ndimage.maximum_filter(labels, 5)
+    label = around[tuple(samples.points.astype(np.int32).T)]
+    is_shell = np.zeros(count + 1, bool)
+    for part in range(1, count + 1):
+        near = np.unique(samples.owner[label == part])
+        is_shell[part] = not is_wall(grid.means, samples.normals, near)
+    parts: Mask = is_shell[labels]
     return parts
 
 

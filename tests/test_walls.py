@@ -1,0 +1,67 @@
+"""Open vessels stay hollow, and open shells of solid objects are filled."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+from phy124.generators.shapes import choose_triangles, cover_surface
+from phy124.particles.solid import ACROSS, find_interior
+
+COUNT = 20_000
+
+
+def cover(mesh):
+    chosen, weights = choose_triangles(np.asarray(mesh.triangles), COUNT, 0)
+    points = np.einsum("nc,nci->ni", weights, mesh.triangles[chosen])
+    return cover_surface(points, mesh.face_normals[chosen], np.ones(3))
+
+
+def shifted(gaussians, noise, rng):
+    means = gaussians.means + rng.normal(0, noise / ACROSS, gaussians.means.shape)
+    return replace(gaussians, means=means.astype(np.float32))
+
+
+def vessel(radius, height, wall):
+    """Return a round vessel whose longest side is 1, with walls and a bottom of equal thickness."""
+    outer, inner = [(0, 0), (radius, 0), (radius, height)], radius - wall
+    profile = np.array([*outer, (inner, height), (inner, wall), (0, wall)])
+    return trimesh.creation.revolve(profile, sections=48)
+
+
+@pytest.mark.parametrize("shape", [(0.4, 1.0), (0.5, 0.5), (0.5, 0.12)])
+@pytest.mark.parametrize("voxels", [0.3, 1, 2, 3.5])
+def test_vessels_stay_hollow(shape, voxels):
+    mesh = vessel(*shape, voxels / ACROSS)
+    assert find_interior(cover(mesh)).volume == pytest.approx(mesh.volume, rel=0.12)
+
+
+@pytest.mark.parametrize("voxels", [1, 2, 3])
+def test_noisy_vessel_stays_hollow(rng, voxels):
+    mesh = vessel(0.4, 1.0, voxels / ACROSS)
+    solid = find_interior(shifted(cover(mesh), 0.1, rng))
+    assert solid.volume == pytest.approx(mesh.volume, rel=0.25)
+
+
+@pytest.mark.parametrize("noise", [0, 0.3])
+@pytest.mark.parametrize("name", ["ball", "capsule", "box"])
+def test_shells_without_a_bottom_are_filled(rng, name, noise):
+    mesh = {
+        "ball": trimesh.creation.icosphere(4, 0.5),
+        "capsule": trimesh.creation.capsule(0.6, 0.2),
+        "box": trimesh.creation.box((1, 0.6, 0.5)),
+    }[name]
+    whole = cover(mesh)
+    low = mesh.bounds[0, 2] + 0.15 * mesh.extents[2]
+    shell = whole.select(whole.means[:, 2] > low)
+    volume = trimesh.PointCloud(shell.means).convex_hull.volume
+    assert find_interior(shifted(shell, noise, rng)).volume == pytest.approx(volume, rel=0.1)
+
+
+def test_both_sides_of_a_thin_plate_are_covered():
+    plate = cover(trimesh.creation.box((1, 0.6, 0.002)))
+    up = plate.means[:, 2] > 0
+    assert up.mean() == pytest.approx(0.5, abs=0.02)
+    apart = np.sqrt(1.2 / len(plate.means))
+    assert np.median(plate.scales[:, 0]) == pytest.approx(0.75 * apart, rel=0.3)
