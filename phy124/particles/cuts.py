@@ -25,9 +25,8 @@ def below(normal: NDArray, height: NDArray, side: float = 1) -> NDArray[np.float
         height: Distances of the planes from the middles of the cubes, along the normals [K].
         side: Side of the cubes.
     """
-    size = np.maximum(np.abs(normal), FLAT)
-    depth = np.maximum(height[:, None] - side * (size @ CORNERS.T), 0)
-    result: NDArray[np.float64] = depth**3 / 6 @ SIGNS / size.prod(axis=1)
+    size, depth = _depths(normal, height, side)
+    result: NDArray[np.float64] = SIGNS @ depth**3 / 6 / size.prod(axis=0)
     return result
 
 
@@ -53,8 +52,8 @@ def moments_below(
     """Return the volume [K], first moments [K,3] and second moments [K,3,3] of the part of each
     voxel below a plane, about the middle of the voxel.
     """
-    size, flip = np.maximum(np.abs(normal), FLAT).T, np.where(normal < 0, -1.0, 1.0).T
-    depth = np.maximum(height - CORNERS @ size, 0)
+    size, depth = _depths(normal, height, 1)
+    flip = np.where(normal < 0, -1.0, 1.0).T
     weight = SIGNS[:, None] * depth**3 / (6 * size.prod(axis=0))
     # Edges and centres of the tetrahedra at the corners, for each axis [8,K].
     edge = [depth / each for each in size]
@@ -66,3 +65,17 @@ def moments_below(
         moment = (weight * (inner + mean[i] * mean[j])).sum(axis=0)
         second[:, i, j] = second[:, j, i] = moment * flip[i] * flip[j]
     return weight.sum(axis=0), first, second
+
+
+def _depths(
+    normal: NDArray, height: NDArray, side: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the sizes of the components of the normals [3,K], and the depths of the corners of the
+    cubes below the planes [8,K].
+
+    A plane beyond a cube is moved to the nearest corner, because the sums over corners lose all
+    digits far from the cube.
+    """
+    size = np.maximum(np.abs(normal), FLAT).T
+    reach = side * size.sum(axis=0) / 2
+    return size, np.maximum(np.clip(height, -reach, reach) - side * (CORNERS @ size), 0)
