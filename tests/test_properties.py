@@ -238,6 +238,15 @@ def test_materials_without_the_field_are_unchanged():
     assert [getattr(materials[i], "E", None) for i in made.material] == [1e5, 2e5, None, None]
 
 
+def test_a_file_may_add_damping_to_materials_without():
+    """The damped form of a law counts as another law, which must stay apart."""
+    x = lattice((1, 1, 4), 0.1)
+    columns = {"damping": np.array([0.0, 50.0, 0.0, 50.0])}
+    made, materials, order = with_properties(particles(x), columns, [NeoHookean(damping=0)])
+    assert [materials[i].damping for i in made.material] == [0, 0, 50, 50]
+    assert order.tolist() == [0, 2, 1, 3]
+
+
 def test_a_file_that_is_missing_is_refused_before_any_work(tmp_path, capsys):
     arguments = ["generate", str(DUCK), "--out", str(tmp_path / "made"), "--set"]
     for field in ("properties.file", "parts.0.mask"):

@@ -203,7 +203,7 @@ def with_properties(
         _with_values(bases[int(row[0])], dict(zip(listed, row[1:], strict=True))) for row in kinds
     ]
     _check_extremes(kinds, listed, bases)
-    laws = list(dict.fromkeys(section.device_law.name for section in bases))
+    laws = list(dict.fromkeys(section.device_law.name for section in (*bases, *made)))
     law = np.array([laws.index(section.device_law.name) for section in made])[kind.ravel()]
     order = np.argsort(law, kind="stable")
     kind = kind.ravel()[order]
