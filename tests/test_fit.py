@@ -347,15 +347,17 @@ class Heights:
         return (None if result[0] > 9e4 else result), 0.25
 
 
-def runs_in(folder, progress=silent):
+def runs_in(folder, progress=silent, colours=1.0, times=1.0):
     """Runs whose player is a stand-in."""
     _, rest = falling()
     n = len(rest)
     cube = Gaussians.from_rgb(
-        rest, np.tile([1.0, 0, 0, 0], (n, 1)), np.full((n, 3), 0.1), np.ones(n), rest
+        rest, np.tile([1.0, 0, 0, 0], (n, 1)), np.full((n, 3), 0.1), np.ones(n), colours * rest
     )
     declared = Fit.from_data({"target": "x", "find": {"material.E": "1e4..1e5"}})
-    seen = SimpleNamespace(measured=np.zeros(2), groups=np.arange(2), kinds=[])
+    seen = SimpleNamespace(
+        measured=np.zeros(2), groups=np.arange(2), kinds=[], times=times * np.arange(2)
+    )
     target = SimpleNamespace(
         declared=declared, observations=seen, played=Scene(), gaussians=cube, crop=WHOLE
     )
@@ -376,6 +378,14 @@ def test_each_run_is_made_once_and_kept(tmp_path):
     assert (again.player.calls, again.kept, again.made) == (0, 3, [0, 0])
     assert runs.made == [3, 1]
     assert runs.seconds == 1.0
+
+
+@pytest.mark.parametrize("changed", ["colours", "times"])
+def test_runs_of_other_inputs_are_not_reused(tmp_path, changed):
+    runs_in(tmp_path).predict([np.array([0.5])], 0)
+    again = runs_in(tmp_path, **{changed: 0.5})
+    again.predict([np.array([0.5])], 0)
+    assert (again.kept, again.player.calls) == (0, 1)
 
 
 def test_a_cancelled_fit_keeps_its_runs(tmp_path):

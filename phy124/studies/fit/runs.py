@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import pickle
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -22,7 +23,6 @@ from phy124.runtime.processes import as_done, processes
 from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
 from phy124.studies.fit.budget import Budget
-from phy124.studies.fit.declaration import Fit
 from phy124.studies.fit.observation import Observations, Values
 from phy124.studies.fit.problem import Distance, Places
 from phy124.studies.fit.target import Target
@@ -93,7 +93,7 @@ class Runs:
         self._folder, self._pool = folder / FOLDER, None
         for end in (0.0, 1.0):
             self.scene_at(np.full(len(self.names), end), 0)
-        self._known = _digest(self.player, target.declared)
+        self._known = _digest(self.player)
 
     def values(self, place: Values) -> dict[str, float]:
         """Return the values at `place`, which contains fractions of their ranges."""
@@ -148,15 +148,9 @@ class Runs:
         return hashlib.sha256(text.encode()).hexdigest()[:24]
 
 
-def _digest(player: Player, declared: Fit) -> str:
+def _digest(player: Player) -> str:
     """Return a digest of all inputs of a prediction except the scene."""
-    seen = player.gaussians
-    arrays = (seen.means, seen.quats, seen.scales, player.observations.measured)
-    whole = hashlib.sha256(code().encode())
-    for array in arrays:
-        whole.update(np.ascontiguousarray(array).tobytes())
-    whole.update(repr((player.crop, declared.side, declared.forces)).encode())
-    return whole.hexdigest()
+    return hashlib.sha256(code().encode() + pickle.dumps(player)).hexdigest()
 
 
 def _play(player: Player, kept: tuple[Path, dict[str, Any]]) -> Played:

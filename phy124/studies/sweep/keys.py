@@ -90,10 +90,10 @@ def weights_of(generator: str) -> dict[str, str]:
 
 @lru_cache(maxsize=1)
 def code() -> str:
-    """Return the digest of this package's modules and of Warp's version."""
+    """Return the digest of this package's modules and native code, and of Warp's version."""
     root = Path(phy124.__file__).parent
     whole = hashlib.sha256(str(wp.config.version).encode())
-    for path in sorted(root.rglob("*.py")):
+    for path in sorted([*root.rglob("*.py"), *root.rglob("*.h")]):
         whole.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes())
     return whole.hexdigest()
 
