@@ -14,6 +14,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from phy124.__main__ import main
 from phy124.errors import Cancelled, Incomplete, InputError
 from phy124.io.ply import write_ply
 from phy124.runtime.context import RunContext
@@ -26,12 +27,14 @@ from phy124.studies.sweep import (
     Sweep,
     cost,
     forecast_sweep,
+    keys,
     list_refused,
     manifest,
     on_ray,
     run,
     running,
 )
+from phy124.studies.sweep.cost import Expected
 from phy124.studies.sweep.dataset import pack
 from phy124.studies.sweep.keys import Seen, key_of
 from phy124.studies.sweep.manifest import read_manifest
@@ -200,6 +203,17 @@ def test_the_key_knows_everything_that_makes_a_clip(balls, tmp_path):
     assert key != key_of(fewer, item, plan.scene_of(item))
 
 
+def test_the_key_knows_the_native_code(tmp_path, monkeypatch):
+    (tmp_path / "native").mkdir()
+    header = tmp_path / "native" / "tile.h"
+    monkeypatch.setattr(keys.phy124, "__file__", str(tmp_path / "__init__.py"))
+    digests = set()
+    for text in ("int one;", "int two;"):
+        header.write_text(text)
+        digests.add(keys.code.__wrapped__())
+    assert len(digests) == 2
+
+
 def test_equal_clips_are_made_once(balls, tmp_path):
     (tmp_path / "same.ply").write_bytes((balls / "a.ply").read_bytes())
     pictures = [str(balls / "a.ply"), str(tmp_path / "same.ply")]
@@ -325,6 +339,20 @@ def test_cost_is_predicted_from_a_few_clips(balls):
     )
     assert answer.clips == answer.tried == 2 and answer.seconds[0] > 0
     assert "2 clips, each with" in answer.sentence(workers=4) and answer.bytes == 3 * 70 * 40
+
+
+@pytest.mark.parametrize(
+    "asked, said", [("0", "1 worker;"), ("1", "1 worker;"), ("3", "3 workers;")]
+)
+def test_a_dry_run_counts_the_workers(balls, tmp_path, monkeypatch, capsys, asked, said):
+    """With 0 workers, one process does the work."""
+    file = tmp_path / "sweep.toml"
+    file.write_text(f'pictures = "{balls}/*.ply"\nscene = "drop"\n')
+    cost = Expected(2, 2, (3600.0, 0.0), 1e6)
+    monkeypatch.setattr("phy124.commands.sweep.forecast_sweep", lambda *_: cost)
+    assert main(["sweep", str(file), "--dry-run", "--workers", asked]) == 0
+    hours = 2 / max(int(asked), 1)
+    assert f"{hours:.2f} h with {said}" in capsys.readouterr().out
 
 
 def test_a_driver_of_many_clips_remembers_little_of_each():

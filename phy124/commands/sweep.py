@@ -98,7 +98,7 @@ class Sweep:
         with Bars(quiet=self.json) as bars:
             bad = list(list_refused(plan, bars))
             cost = forecast_sweep(plan, RunContext(device=device, progress=bars))
-        workers = self.workers or cores()
+        workers = cores() if self.workers is None else max(self.workers, 1)
         if self.json:
             rows = [{"index": item.index, "sentence": why} for item, why in bad]
             print(json.dumps({**cost._asdict(), "refused": rows}))

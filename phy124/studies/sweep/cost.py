@@ -45,7 +45,7 @@ class Expected(NamedTuple):
             f"{self.clips:,} clips, each with {mean:.2f} s of CPU time (standard error "
             f"{error:.2f} s, from {self.tried}): {hours:.2f} CPU-hours, "
             f"{self.wall(workers) / 3600:.2f} h with "
-            f"{workers} workers; {self.bytes * self.clips / 1e9:.2f} GB"
+            f"{workers} worker{'s' * (workers > 1)}; {self.bytes * self.clips / 1e9:.2f} GB"
         )
 
 
