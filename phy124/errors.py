@@ -50,7 +50,7 @@ class InputError(ValueError):
 
     def __reduce__(self) -> tuple[type, tuple[object, ...]]:
         """Support pickle, which would otherwise pass the whole message to the constructor."""
-        return type(self), (self.field, self.value, self.limit, self.remedy)
+        return type(self), (self.field, self.value, self.limit, self.remedy, self.remedies)
 
 
 class Cancelled(Exception):

@@ -15,7 +15,7 @@ from safetensors import SafetensorError
 from bridge.__main__ import main as bridge
 from demo.line import FAILED, SERVER, Job, run_guarded
 from phy124.__main__ import main
-from phy124.errors import Cancelled, Incomplete, InputError
+from phy124.errors import Cancelled, Incomplete, InputError, Remedy
 from phy124.io.clip import Clip
 from phy124.io.ply import write_ply
 from phy124.pipeline import PAUSE, resume
@@ -177,3 +177,10 @@ def test_kept_files_are_named_with_the_cause(cause, status, said):
     result = failure(problem)
     assert result.status == status and said in result.sentence
     assert pickle.loads(pickle.dumps(Incomplete("kept"))).kept == "kept"
+
+
+def test_input_errors_keep_their_remedies_in_other_processes():
+    remedy = Remedy("accuracy.cells = 24", {"accuracy.cells": 24})
+    problem = InputError("scene", "x", "it is too coarse.", "Use more cells.", [remedy])
+    copy = pickle.loads(pickle.dumps(problem))
+    assert (str(copy), copy.remedies) == (str(problem), (remedy,))
