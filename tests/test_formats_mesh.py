@@ -8,7 +8,7 @@ from scipy.spatial import KDTree
 
 from phy124.__main__ import main as run_command
 from phy124.errors import InputError
-from phy124.gaussians import Frame, Gaussians, rotation_matrices
+from phy124.gaussians import Frame, Gaussians, join, rotation_matrices
 from phy124.generators.mesh import load_pieces
 from phy124.generators.shapes import ball
 from phy124.io.clip import Clip
@@ -95,6 +95,24 @@ def test_invisible_gaussians_have_no_surface(tmp_path):
     with pytest.raises(InputError, match=r"below 0\.5 everywhere"):
         write_gaussians(tmp_path / "a.glb", faint, "mesh")
     assert not list(tmp_path.iterdir())
+
+
+def test_hidden_gaussians_colour_no_vertex():
+    """The surface has the colours of the nearest Gaussians that are visible."""
+    body, orange = ball(), [0.9, 0.5, 0.1]
+    vertices = find_surface(body).vertices
+    count = len(vertices)
+    hidden = Gaussians.from_rgb(
+        np.repeat(vertices, 8, axis=0),
+        np.tile(body.quats[:1], (8 * count, 1)),
+        np.full((8 * count, 3), 0.01),
+        np.zeros(8 * count),
+        np.zeros((8 * count, 3)),
+    )
+    rgb = np.tile(orange, (len(body), 1))
+    seen = Gaussians.from_rgb(body.means, body.quats, body.scales, body.opacities, rgb)
+    painted = find_surface(join([seen, hidden])).rgb
+    np.testing.assert_allclose(painted, np.tile(orange, (len(painted), 1)), atol=0.01)
 
 
 @pytest.fixture

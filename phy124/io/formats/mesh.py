@@ -142,6 +142,7 @@ def _fill_cavities(density: NDArray[np.float32]) -> None:
 def _colours(gaussians: Gaussians, points: NDArray[np.float64]) -> NDArray[np.float64]:
     from scipy.spatial import KDTree
 
+    gaussians = gaussians.select(gaussians.opacities > 0)
     count = min(NEAREST, len(gaussians))
     distance, index = KDTree(gaussians.means).query(points, count)
     distance, index = distance.reshape(-1, count), index.reshape(-1, count)
