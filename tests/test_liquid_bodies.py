@@ -5,6 +5,7 @@ import pytest
 
 from phy124.boundaries import Container, Press
 from phy124.forces import Gravity, ZoneForce
+from phy124.gaussians import rotation_matrices
 from phy124.liquid.clock import LiquidClock
 from phy124.liquid.mixed import MixedSolver
 from phy124.materials import Fluid, NeoHookean
@@ -12,7 +13,7 @@ from phy124.mpm import FreeBody, Model, State
 from phy124.runtime.context import RunContext
 from phy124.schema.region import Region
 from phy124.simulation import Simulation, prepare
-from support.liquids import CELLS, DENSITY, DX, LEVEL, TANK, G, block, pool
+from support.liquids import CELLS, DENSITY, DX, LEVEL, TANK, G, block, liquid, pool
 from support.shapes import ball
 
 
@@ -149,6 +150,25 @@ def test_force_on_particles_presses_the_floor_beside_bodies():
     press = (run(solver, 24).impulses.wrench("tank_0_z_low").numpy()[2] - before) / 1.0
     volume = solver.model.volume.numpy().sum()
     assert press == pytest.approx(DENSITY * G * volume, rel=0.01)
+
+
+@pytest.mark.parametrize("mixture", [False, True])
+@pytest.mark.parametrize("shape", ["sphere", "capsule"])
+def test_water_does_not_turn_a_solid_about_an_axis_of_symmetry(mixture, shape):
+    """The solid is so light that the smallest torque would make it spin."""
+    half = (0.15,) * 3 if shape == "sphere" else (0.3, 0.15, 0.15)
+    spin = np.array((2, 0, 0)) if shape == "capsule" else np.zeros(3)
+    solid = FreeBody("solid", shape, half, (0.52, 0.47, 0.45), density=10, spin=tuple(spin))
+    water = block((0, 0, 0), (1, 1, LEVEL), CELLS)
+    if mixture:
+        beside = block(*box((0.2, 0.2, 0.8), (4, 4, 4)), CELLS)
+        solver = mixed(water, beside, DENSITY, free=[solid])
+    else:
+        outside = water[solid.measure_depth(water) < 0]
+        solver = liquid(outside, CELLS, [TANK], free=[solid], planes=TANK.sides())
+    turned = rotation_matrices(run(solver, 6).free.poses()[:, 3:])[0]
+    axes = turned if shape == "sphere" else turned[:, :1]
+    np.testing.assert_allclose(solver.free.motions()[0, 3:] @ axes, spin @ axes, atol=1e-3)
 
 
 def test_momentum_of_solid_liquid_and_body_is_conserved():

@@ -31,7 +31,9 @@ class Motion(NamedTuple):
     angular: NDArray[np.float64]
     """Angular momentum of the body about its centre [3], kg m^2/s."""
     inverse: NDArray[np.float64]
-    """Inverse of the body's inertia tensor about its centre [3,3], 1/(kg m^2)."""
+    """Inverse of the body's inertia tensor about its centre [3,3], 1/(kg m^2); zero about the axes
+    of symmetry of a free solid (`FreeBody.levers`).
+    """
 
     @classmethod
     def of(cls, row: NDArray[np.float64], dx: float) -> Motion:
@@ -113,7 +115,7 @@ class FreeSolids:
     def _motion(self, solid: Any, pose: NDArray, motion: NDArray) -> Motion:
         axes = rotation_matrices(pose[None, 3:])[0]
         angular = axes @ (solid.moments * (axes.T @ motion[3:]))
-        inverse = axes @ np.diag(1 / solid.moments) @ axes.T
+        inverse = axes @ np.diag(solid.levers / solid.moments) @ axes.T
         return Motion(solid.mass, pose[:3], solid.mass * motion[:3], angular, inverse)
 
     def receive(self, impulses: NDArray, centres: NDArray, kick: float, drift: float) -> None:
@@ -130,9 +132,11 @@ class FreeSolids:
         rows = zip(self._solids.poses(), self._solids.motions(), strict=True)
         start = list(rows) if len(impulses) else []
         for index, (impulse, moment) in enumerate(impulses):
-            turn = moment - np.cross(centres[index], impulse)
-            rates[index] = impulse / self._solids.all[index].mass / kick, turn / kick
-            row = [*-impulse, *-moment, 0.0, np.linalg.norm(impulse), 0.0]
+            solid, along = self._solids.all[index], np.cross(centres[index], impulse)
+            axes = rotation_matrices(start[index][0][None, 3:])[0]
+            turn = axes @ (solid.levers * (axes.T @ (moment - along)))
+            rates[index] = impulse / solid.mass / kick, turn / kick
+            row = [*-impulse, *-(along + turn), 0.0, np.linalg.norm(impulse), 0.0]
             self._solids.add(index, min(self._model.wet), np.array(row) * drift / kick)
             self._acting.append((impulse / kick, drift * turn / kick, *start[index]))
         self._rates.assign(rates)

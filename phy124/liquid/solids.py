@@ -48,7 +48,7 @@ class Solids:
             zip(self.bodies.all, self.bodies.numbers, strict=True)
         ):
             inputs = [index, solid.mass, self.scale, wp.vec3d(*solid.moments)]
-            inputs += [tracks.clock, tracks.values]
+            inputs += [wp.vec3d(*solid.levers), tracks.clock, tracks.values]
             outputs = [self.plans, self._projection.mobility, self.centres, body]
             kernel = kernels.make_kick(self._model.real)
             records.append((STAGE, self._model.launch(kernel, 1, inputs, outputs)))
@@ -109,8 +109,8 @@ class Solids:
         records = []
         for index, solid in enumerate(self.bodies.all):
             wall = self.first(walls) + index
-            inputs = [solid.mass, wp.vec3d(*solid.moments), wall, int(pulled)]
-            inputs += [tracks.clock, tracks.values]
+            inputs = [solid.mass, wp.vec3d(*solid.moments), wp.vec3d(*solid.levers)]
+            inputs += [wall, int(pulled), tracks.clock, tracks.values]
             body = self.bodies.numbers[index]
             outputs = [impulses.step, walls.motions, self.bodies.total(index), body]
             kernel = kernels.make_respond(self._model.real)

@@ -92,6 +92,16 @@ class FreeBody(NamedTuple):
         moments[int(half.argmax())] = along
         return moments
 
+    @property
+    def levers(self) -> Vector3:
+        """For each local axis, 1 if pressure can turn the solid about the axis [3]; 0 for an axis
+        of symmetry.
+        """
+        levers = np.full(3, float(self.shape != "sphere"))
+        if self.shape == "capsule":
+            levers[int(np.argmax(self.half))] = 0.0
+        return levers
+
     def start(self) -> Vector3:
         """Return the state at time 0 in the layout of phy124/kernels/free/numbers.py."""
         angular = self.axes * self.moments @ self.axes.T @ np.array(self.spin)

@@ -75,6 +75,12 @@ def put_motion(motions: wp.array2d(dtype=Any), wall: int, V: wp.vec3d, w: wp.vec
     motions[wall, 2] = like
 
 
+@wp.func
+def lever(R: wp.mat33d, levers: wp.vec3d, w: wp.vec3d):
+    """Return a vector without its components along axes of symmetry."""
+    return R @ wp.cw_mul(levers, wp.transpose(R) @ w)
+
+
 @build_once
 def make_jumps(real: Any):
     """Kernel over cells: computes the rows of J, fluxes per velocity and angular velocity of a
@@ -188,7 +194,8 @@ def make_kick(real: Any):
     """Single-thread kernel: applies gravity to a solid; writes its motion, mobility and centre.
 
     `scale` is rho dx^3 [kg]. The mobility consists of scale / M and of the matrix scale I^-1 for
-    the inertia I.
+    the inertia I. The liquid neither turns the solid about an axis whose `levers` are 0
+    (`FreeBody.levers`), nor feels this rotation.
     """
 
     @kernel(f"phy124_liquid_kick_{real.__name__}", real, seconds=0.3)
@@ -197,6 +204,7 @@ def make_kick(real: Any):
         mass: wp.float64,
         scale: wp.float64,
         moments,
+        levers: wp.vec3d,
         clock,
         values,
         plans_out: wp.array2d(dtype=wp.vec3d),
@@ -209,9 +217,10 @@ def make_kick(real: Any):
             put3(body_out, VELOCITY, at3(body_out, VELOCITY) + pull)
             body_out[KICKED] = wp.float64(1.0)
         plans_out[solid, 0] = at3(body_out, VELOCITY)
-        plans_out[solid, 1] = spin_of(axes(body_out), moments, at3(body_out, ANGULAR))
+        R = axes(body_out)
+        plans_out[solid, 1] = lever(R, levers, spin_of(R, moments, at3(body_out, ANGULAR)))
         centres_out[solid] = at3(body_out, PLACE)
-        inverse = wp.inverse(inertia_of(axes(body_out), moments))
+        inverse = inertia_of(R, wp.cw_div(levers, moments))
         mobility_out[solid, 0] = scale / mass
         for a in range(3):
             for b in range(3):
@@ -273,6 +282,7 @@ def make_respond(real: Any):
     def respond(
         mass: wp.float64,
         moments,
+        levers: wp.vec3d,
         wall: int,
         pulled: int,
         clock,
@@ -284,20 +294,22 @@ def make_respond(real: Any):
     ):
         row = take_row(sums_out, wall)
         J = wp.vec3d(row[0], row[1], row[2])
+        arm = at3(body_out, PLACE)
         moment = wp.vec3d(row[3], row[4], row[5])
-        about = moment - wp.cross(at3(body_out, PLACE), J)
+        R = axes(body_out)
+        about = lever(R, levers, moment - wp.cross(arm, J))
         V = at3(body_out, VELOCITY) - wp.float64(pulled) * wp.float64(clock[0]) * wide(values[0])
-        spin = spin_of(axes(body_out), moments, at3(body_out, ANGULAR))
+        spin = spin_of(R, moments, at3(body_out, ANGULAR))
         put3(body_out, VELOCITY, at3(body_out, VELOCITY) - J / mass)
         put3(body_out, ANGULAR, at3(body_out, ANGULAR) - about)
         for k in range(3):
             total_out[k] += J[k]
-            total_out[MOMENT + k] += moment[k]
-        w = spin_of(axes(body_out), moments, at3(body_out, ANGULAR))
+            total_out[MOMENT + k] += wp.cross(arm, J)[k] + about[k]
+        w = spin_of(R, moments, at3(body_out, ANGULAR))
         both = wp.dot(J, V + at3(body_out, VELOCITY)) + wp.dot(about, spin + w)
         total_out[WORK] += wp.float64(0.5) * both
         total_out[MOVED] += wp.length(J)
         total_out[TURNED] += wp.float64(0.5) * wp.abs(both)
-        put_motion(motions_out, wall, at3(body_out, VELOCITY), w, at3(body_out, PLACE))
+        put_motion(motions_out, wall, at3(body_out, VELOCITY), lever(R, levers, w), arm)
 
     return respond
