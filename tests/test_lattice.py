@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import LinearNDInterpolator
 
+from phy124 import Live
 from phy124.boundaries import Ground, HalfSpace, Held
 from phy124.boundaries.motion import Path
 from phy124.forces import Acceleration, Grab, Gravity, TotalForce, Wind
@@ -16,6 +17,7 @@ from phy124.mpm import FreeBody
 from phy124.mpm.tracks import Keyframes
 from phy124.particles.solid import Solid
 from phy124.runtime.context import RunContext
+from phy124.scene import Scene
 from phy124.schema.region import Region
 from phy124.simulation import Simulation, prepare
 from phy124.studies.validation.bodies import surface_of_ball
@@ -222,6 +224,41 @@ def test_bind_in_mid_run_changes_no_bit():
         motions.append([solver.nodes_state.u.numpy(), *solver.free.poses()])
     for alone, bound in zip(*motions, strict=True):
         assert np.array_equal(alone, bound)
+
+
+@pytest.mark.parametrize("speed", [45.0, 300.0])
+def test_fast_free_solid_does_not_pass_through_a_body(speed):
+    """Without the limit on the substep, the ball would move 1.1 or 7 cells in a substep."""
+    plate = block((1, 1, 0.2), low=(-0.5, -0.5, 0))
+    stiff = NeoHookean(E=5e5, nu=0.3, density=1000, damping=300.0)
+    for gap in (0.1, 0.17):
+        place = {"place": (0, 0, 0.35 + gap), "velocity": (0, 0, -speed)}
+        ball = FreeBody("ball", "sphere", (0.15,) * 3, density=200, **place)
+        solver = make(plate, stiff, free=[ball], precision="float32")
+        inside = []
+
+        def look(solver=solver, inside=inside):
+            solver.follow()
+            arm = solver.state.x.numpy() - solver.free.poses()[0, :3]
+            inside.append(0.15 - np.linalg.norm(arm, axis=1).min())
+
+        solver.advance(0.8 / speed, after=look)
+        assert max(inside) < 0
+        assert abs(solver.free.motions()[0, 2]) < speed / 3
+
+
+def test_free_solid_set_in_fast_motion_does_not_pass_through():
+    data = lattice_scene().data()
+    data["object"]["lift"] = 0.0
+    ball = {"shape": "sphere", "name": "ball", "on": "object", "size": 0.4, "lift": 0.1}
+    data["objects"] = [{**ball, "motion": {"kind": "free"}}]
+    live = Live(surface_of_ball(), Scene.from_data(data), RunContext(threads=1))
+    list(live.frames(3))
+    before = live.motions["ball"]
+    live.set_motion("ball", before._replace(velocity=np.array([0, 0, -30.0])))
+    list(live.frames(1))
+    assert live.motions["ball"].place[2] > live.points["object"][:, 2].max() - DX / 4
+    assert abs(live.motions["ball"].velocity[2]) < 3
 
 
 def test_prongs_of_a_fork_do_not_pass_through_each_other():

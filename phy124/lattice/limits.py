@@ -101,6 +101,7 @@ class Limits(Kept):
             self.read(clock.time - self.measured)
             self.measured = clock.seen = clock.time
         measured = clock.extremes._replace(stiffness=self._spectrum.stiffen(self.softened))
+        clock.solid = self._free.fastest()
         passed = FORGET * clock.since_complete
         clock.limit_by(measured.after(clock.extremes, substeps=passed), complete=True)
         clock.interval = self.interval()
@@ -113,7 +114,7 @@ class Limits(Kept):
             self.look()
         self._list_near()
         run_timed(self._timings, "meetings", lambda: self._meetings.follow(self._step()))
-        run_timed(self._timings, "free", lambda: self._free.list_near(self._step()))
+        run_timed(self._timings, "free", lambda: self._free.list_near(self._step(), self._ahead()))
 
     def read(self, elapsed: float) -> None:
         """Limit substeps by the largest speed and strain rate; raise Unstable if a body collapsed.
@@ -169,10 +170,13 @@ class Limits(Kept):
         self._list_near()
 
     def _list_near(self) -> None:
+        self._walls.list_near(self._travel + max(2 * WAY * self._dx, self._ahead()), self._step())
+
+    def _ahead(self) -> float:
+        """Return how far [m] a point may approach a wall until the next measurement."""
         step = self._step()
         # The walls are still at their positions of the previous substep.
-        ahead = (self._clock.interval + 1) * step if math.isfinite(step) else 0.0
-        self._walls.list_near(self._travel + max(2 * WAY * self._dx, ahead), step)
+        return (self._clock.interval + 1) * step if math.isfinite(step) else 0.0
 
     def _step(self) -> float:
         """Return the largest distance [m] by which a point may approach a wall in a substep."""

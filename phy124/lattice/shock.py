@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from phy124.materials.base import Material
 from phy124.mpm.clock import Clock
 from phy124.mpm.stage import Named
-from phy124.mpm.timestep import Extremes, Substep, decay
+from phy124.mpm.timestep import CELLS_PER_STEP, Extremes, Substep, decay
 
 FAST = 0.25
 """Closing rate of a cell above which the artificial viscosity acts, relative to the speed of sound
@@ -44,7 +44,7 @@ STALLED = 1000
 class LatticeClock(Clock):
     """The clock of bodies on lattices."""
 
-    kept = (*Clock.kept, "closing", "lasting", "seen")
+    kept = (*Clock.kept, "closing", "lasting", "seen", "solid")
 
     calm = math.inf
     """Closing rate of a cell above which the artificial viscosity acts [1/s]."""
@@ -56,6 +56,8 @@ class LatticeClock(Clock):
     """
     seen = 0.0
     """Time of the last measurement of velocities [s]."""
+    solid = 0.0
+    """Largest speed of a freely moving solid [m/s]."""
     _marked = (0, 0.0)
     """Number of substeps and time [s] at the last check of the run's progress."""
 
@@ -81,6 +83,8 @@ class LatticeClock(Clock):
     def stable(self) -> Substep:
         """Return the longest stable substep in the current state."""
         limit = super().stable()
+        if limit.dt * self.solid > CELLS_PER_STEP * self.dx:
+            limit = Substep(CELLS_PER_STEP * self.dx / self.solid, "speed")
         if self.in_shock and limit.dt * self._rate > LEAST:
             return Substep(LEAST / self._rate, "gradient")
         return limit

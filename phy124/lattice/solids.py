@@ -35,13 +35,13 @@ DEEPEST = 0.5
 contact force may be normal to the body's surface.
 """
 LISTED = 1.0
-"""Margin added to the contact distance when points near a solid are listed [cells]."""
+"""Smallest margin added to the contact distance when points near a solid are listed [cells]."""
 
 
 class Solids(FreeBodies):
     """All freely moving rigid solids of a run on lattices."""
 
-    kept = ("_bodies", "_sums", "_begun", "_impulses", "_reach_points", "_touches")
+    kept = ("_bodies", "_sums", "_begun", "_impulses", "_reach_points", "_approach", "_touches")
 
     def __init__(
         self, model: Model, solids: Sequence[FreeBody], surface: Surface, nodes: Nodes
@@ -65,6 +65,8 @@ class Solids(FreeBodies):
         """Surface points at most this far from a solid may touch the solid before the next
         measurement [m].
         """
+        self._approach = LISTED * model.dx
+        """Largest approach of a point to a solid until the next measurement [m]."""
 
     def _total(self) -> NDArray[np.float64]:
         """Return the sums of impulse and work of each solid on each body [F,bodies,EXCHANGE]."""
@@ -124,12 +126,14 @@ class Solids(FreeBodies):
         )
         return [[*launches(begin), *touch], [*resist, *launches(finish)], account]
 
-    def list_near(self, step: float) -> None:
+    def list_near(self, step: float, ahead: float) -> None:
         """List the surface points that may touch a solid until the next measurement.
 
-        A point or a solid moves at most `step` [m] in a substep.
+        A point approaches a solid by at most `step` [m] in a substep, and by at most `ahead` [m]
+        until the next measurement.
         """
         dx = self._model.dx
+        self._approach = max(LISTED * dx, ahead)
         self._reach_points = min(REACH * dx, 2 * AHEAD * step + CLOSE * dx)
         self._list(turn=True)
 
@@ -140,7 +144,7 @@ class Solids(FreeBodies):
         A restored run does not update the normals.
         """
         for touch in self._touches:
-            touch.list_near(self._reach_points, LISTED * self._model.dx, turn=turn)
+            touch.list_near(self._reach_points, self._approach, turn=turn)
 
     def restore(self, snapshot: dict[str, Any]) -> None:
         """Restore the state from a snapshot."""

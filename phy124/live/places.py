@@ -160,6 +160,7 @@ def set_motion(run: Simulation, name: str, motion: Motion, *, twist: bool) -> No
     if number is None:
         velocity, spin = motion[2:] if twist else (R @ before.velocity, R @ before.spin)
         solver.free.put(solids.index(name), (motion.place, motion.quat, velocity, spin))
+        solver.clock.expire()
     elif run.scene.couples and not (run.scene.immerses and run.scene.on_lattices[number]):
         limit = "an object on a lattice cannot be moved immediately if other objects are particles."
         raise InputError("state.entity", name, limit, 'Use accuracy.solver = "mpm".')
