@@ -12,9 +12,10 @@ from phy124.lattice.rest import splines
 from phy124.lattice.surface import FLAT, Lazy, _inverses
 from phy124.lattice.tips import _three_in_a_row, points_in_tips, rows_of
 from phy124.particles.lattice import PER_CELL, integration_points, surface_points
-from phy124.particles.solid import Solid
+from phy124.particles.solid import Solid, find_interior
 from phy124.studies.validation.bodies import fill_solid
 from support.lattices import DX, block, make, rod
+from support.plates import box_of_discs
 
 
 def test_full_cells_have_gauss_points():
@@ -120,6 +121,19 @@ def test_surface_points_cover_a_ball_of_resampled_voxels(per):
     around *= radius / np.linalg.norm(around, axis=1, keepdims=True)
     gap, _ = KDTree(rows[:, :3]).query(around)
     assert gap.max() < 0.6 * DX
+
+
+@pytest.mark.parametrize("thick", [0.02, 0.022, 0.04])
+@pytest.mark.parametrize("lift", [0, 0.012, 0.03, 0.044, 0.055])
+def test_both_faces_of_a_plate_have_surface_points(thick, lift):
+    middle = np.array([0, 0, lift + thick / 2])
+    plate = box_of_discs(np.array([1, 0.7, thick]), np.eye(3), middle, 0.012)
+    rows = surface_points(find_interior(plate).resample(1 / 32, per_cell=2), 1 / 16)
+    inner = rows[(np.abs(rows[:, :2]) < (0.4, 0.25)).all(axis=1)]
+    for sign in (1, -1):
+        face = inner[inner[:, 5] * sign > 0.9]
+        assert len(face) > 0.9 * (0.8 * 0.5) * 32**2
+        assert np.allclose(face[:, 2], middle[2] + sign * thick / 2, atol=0.002)
 
 
 def test_needle_has_surface_points():

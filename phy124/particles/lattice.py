@@ -20,6 +20,7 @@ from phy124.errors import InputError
 from phy124.particles.pieces import find_copies, find_pieces
 from phy124.particles.seeding import MAX_PARTICLES, Particles
 from phy124.particles.solid import MEMORY, Solid
+from phy124.particles.voxels import find_normals
 
 PER_CELL = 8
 SMALLEST = 1e-3
@@ -196,12 +197,16 @@ def _points_of_pieces(
 
 def _clear(solid: Solid) -> NDArray[np.bool_]:
     """Return a mask without the nearly empty voxels that resampling leaves around the body."""
-    index, fraction = solid.voxels[:2]
-    filled = np.zeros(solid.fraction.shape)
-    filled[tuple(index.T)] = fraction
+    filled = _fractions(solid)
     fullest = scipy.ndimage.maximum_filter(filled, 3, mode="constant")
     clear: NDArray[np.bool_] = filled >= np.clip(fullest / 2, SMALLEST, TRACE)
     return clear
+
+
+def _fractions(solid: Solid) -> NDArray[np.float64]:
+    filled = np.zeros(solid.fraction.shape)
+    filled[tuple(solid.voxels.indices.T)] = solid.voxels.fraction
+    return filled
 
 
 def surface_points(solid: Solid, dx: float) -> NDArray[np.float64]:
@@ -221,6 +226,9 @@ def _surface_points(solid: Solid, dx: float, cells: _Cells) -> NDArray[np.float6
         clear if clear.any() else outside
     )  # In a needle, all cells may have such a small fraction.
     index, fraction, normal = index[outside], fraction[outside], normal[outside]
+    # Behind nearly empty voxels, which are left out, full voxels are at the surface.
+    full = np.flatnonzero(~normal.any(axis=1) & (fraction > 1 - TRACE))
+    normal[full] = find_normals(np.where(filled, _fractions(solid), 0), index[full], TRACE / 2)
     across = solid.voxel * np.abs(normal).sum(axis=1)
     out = normal * ((fraction - 0.5) * across)[:, None]
     x = (index + solid.first + 0.5) * solid.voxel + out
@@ -293,14 +301,25 @@ def _spread_along(rows: NDArray, distance: float) -> NDArray[np.float64]:
 
 
 def _outermost(rows: NDArray, side: float) -> NDArray[np.float64]:
+    """Return the outermost point in each cube with a side length [m]; in a cube with both faces of
+    a thin part, return the outermost point of each face.
+    """
     cube = np.floor(rows[:, :3] / side - 1e-6).astype(np.int64)
     low, size = cube.min(axis=0), np.ptp(cube, axis=0) + 1
-    _, which = np.unique(np.ravel_multi_index((cube - low).T, size), return_inverse=True)
-    which = which.reshape(-1)
-    count = which.max() + 1
-    number = np.bincount(which, minlength=count)[:, None]
-    mean = _sums(which, rows, count) / number
+    number = np.asarray(np.ravel_multi_index((cube - low).T, size))
+    first, which = _highest(rows, number)
+    behind = np.flatnonzero((rows[:, 3:] * rows[first[which], 3:]).sum(axis=1) < 0)
+    second, _ = _highest(rows[behind], number[behind])
+    return rows[np.concatenate([first, behind[second]])]
+
+
+def _highest(rows: NDArray, cube: NDArray) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the index of the outermost point in each of C cubes [C], and the position of each
+    point's cube in this list [S].
+    """
+    _, which = np.unique(cube, return_inverse=True)
+    count = which.max(initial=-1) + 1
+    mean = _sums(which, rows, count) / np.bincount(which, minlength=count)[:, None]
     height = ((rows[:, :3] - mean[which, :3]) * mean[which, 3:]).sum(axis=1)
     order = np.lexsort((-height, which))
-    first = np.flatnonzero(np.diff(which[order], prepend=-1))
-    return rows[order[first]]
+    return order[np.flatnonzero(np.diff(which[order], prepend=-1))], which

@@ -42,12 +42,23 @@ def find_voxels(filled: NDArray, material: Material | None = None) -> Voxels:
     # The gradient is zero among full voxels.
     within = scipy.ndimage.minimum_filter(filled, 3, mode="constant")[tuple(index.T)] >= 1
     outer = np.flatnonzero(~within)
-    cubes = np.lib.stride_tricks.sliding_window_view(np.pad(filled, 1), (3, 3, 3))
-    normal[outer] = -cubes[tuple(index[outer].T)].reshape(-1, 27) @ SLOPES
-    length = np.linalg.norm(normal, axis=1)
-    normal[length < SHEET] = 0
-    normal /= np.maximum(length, SHEET)[:, None]
+    normal[outer] = find_normals(filled, index[outer])
     if material is not None:  # It has the same voxels in the same order.
         return Voxels(index, fraction, normal, material.shift, material.spread)
     even = np.tile(np.eye(3) / 12, (len(index), 1, 1))
     return Voxels(index, fraction, normal, np.zeros(index.shape), even)
+
+
+def find_normals(filled: NDArray, index: NDArray, least: float = SHEET) -> NDArray[np.float64]:
+    """Return the outward normals of some voxels [V,3] of a grid; zero in sheets.
+
+    Args:
+        filled: Filled fractions of all voxels [X,Y,Z].
+        index: Indices of the voxels [V,3].
+        least: Smallest length of the gradient at voxels with a normal [1/voxel].
+    """
+    cubes = np.lib.stride_tricks.sliding_window_view(np.pad(filled, 1), (3, 3, 3))
+    normal: NDArray[np.float64] = -cubes[tuple(index.T)].reshape(-1, 27) @ SLOPES
+    length = np.linalg.norm(normal, axis=1)
+    normal[length < least] = 0
+    return normal / np.maximum(length, least)[:, None]
