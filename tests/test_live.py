@@ -245,6 +245,7 @@ def test_liquid_flows_while_inputs_are_possible():
         (lambda run: run.gravity((0, 0, np.inf)), "gravity"),
         (lambda run: run.move(7, (0, 0, 0)), "move.wall"),
         (lambda run: run.move(2, (0, 0, 0)), "move.wall"),
+        (lambda run: run.move(True, (0, 0, 0)), "move.wall"),
     ],
 )
 def test_impossible_inputs_are_refused_and_the_run_continues(call, field):
@@ -456,6 +457,18 @@ def test_softness_changes_next_frame_and_replays():
     for wrong in (0, 1e30, float("nan"), None):
         with pytest.raises(InputError, match=r"from 0\.01 to 100"):
             run.soften(wrong)
+
+
+@pytest.mark.parametrize("liquid", ["projection", "compressible"])
+def test_liquids_refuse_to_soften_and_the_run_continues(liquid):
+    accuracy = {"cells": 8, "liquid": liquid}
+    run = live(material={"law": "fluid"}, accuracy=accuracy, boundaries=GROUND[:1])
+    run.step()
+    with pytest.raises(InputError, match=r"^soften = 2: the stiffness of .* cannot be changed"):
+        run.soften(2)
+    run.step()
+    with pytest.raises(InputError, match=r"Give the number of a boundary: 0 \(ground\)\."):
+        run.move("ground", (0, 0, 1))
 
 
 def swing(run: Live) -> None:

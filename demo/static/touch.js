@@ -73,6 +73,7 @@
       this.prepare();
       this.status.textContent = 'Drag the object. Drag next to it to turn the view.';
       this.status.title = lattice.sentence;
+      this.soft.parentElement.hidden = !lattice.softens;
       this.tools.disabled = false;
       this.canvas.classList.add('ready');
     }

@@ -156,6 +156,7 @@ class Player:
             "size": self.live.limits.size,
             "ground": self._walls.floor,
             "walls": self._walls.data(),
+            "softens": self.live.softens,
             "sentence": text,
             "background": list(self._what.order.scene.view.background),
         }

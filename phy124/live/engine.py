@@ -141,6 +141,12 @@ class Live:
         return self._scene
 
     @property
+    def softens(self) -> bool:
+        """Whether `soften` can change the stiffness of a material of the scene."""
+        varies = any(section.scaled for section in self._run.setup.materials)
+        return varies and (self._scene.projects or not self._scene.couples)
+
+    @property
     def rest(self) -> NDArray[np.float64]:
         """Positions of all particles at rest [P,3], m."""
         return self._run.solver.model.rest
@@ -311,8 +317,14 @@ class Live:
         """Set the factor (0.01 to 100) on the scene's Young's modulus; replaces earlier factors.
 
         Raises:
-            InputError: The factor is out of bounds, or the scene has a stiffness profile.
+            InputError: The factor is out of bounds, the scene has a stiffness profile, or the
+                stiffness of its materials cannot be changed.
         """
+        if not self.softens:
+            limit = "the stiffness of the scene's materials cannot be changed during a run."
+            raise InputError(
+                "soften", factor, limit, "Use an elastic material, such as neo_hookean."
+            )
         if self._scene.stiffness_profile is not None:
             limit = "the scene has a stiffness profile."
             raise InputError("soften", factor, limit, "Remove stiffness_profile.")
@@ -329,9 +341,10 @@ class Live:
                 of the scene, or the value is not three finite numbers.
         """
         walls = self._scene.boundaries
-        if not (isinstance(wall, int) and 0 <= wall < len(walls)):
-            kinds = ", ".join(f"{i}: {w.kind}" for i, w in enumerate(walls)) or "it has none"
-            raise InputError("move.wall", wall, "the scene has no such boundary.", f"({kinds})")
+        if type(wall) is not int or not 0 <= wall < len(walls):
+            kinds = ", ".join(f"{i} ({w.kind})" for i, w in enumerate(walls))
+            remedy = f"Give the number of a boundary: {kinds}." if walls else "It has no boundary."
+            raise InputError("move.wall", wall, "the scene has no such boundary.", remedy)
         if not is_movable(self._scene, wall):
             why = f"the {walls[wall].kind} of this scene cannot be moved by hand."
             raise InputError("move.wall", wall, why, "Choose a boundary that has no motion.")
