@@ -138,6 +138,14 @@ def test_liquid_by_projection_is_not_called_stiff():
     assert scene.projects and note_costs(scene) == []
 
 
+def test_only_compressible_liquids_are_called_stiff():
+    oil = Scene.named("oil").replaced({"accuracy": "draft", "material.density": 1})
+    assert oil.projects and note_costs(oil) == []
+    (said,) = note_costs(oil.replaced({"accuracy.liquid": "compressible"}))
+    assert said.startswith("material (fluid) is so stiff")
+    assert "a smaller material.bulk_modulus makes" in said
+
+
 @pytest.mark.parametrize("name", ["press", "sway"])
 def test_closed_formulas_know_lattices(name):
     """Substeps at rest within 30 %; less work than with particles, but more memory per point."""

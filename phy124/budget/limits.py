@@ -200,10 +200,10 @@ def _note_stiffest_part(scene: Scene) -> str | None:
     The steps of projected liquids do not depend on a stiffness.
     """
     listed = _list_materials(scene)
-    fastest, *others = [m for m in listed if not scene.projects or m[1].law != "fluid"] or listed
-    if not others:
+    stiff = [item for item in listed if not scene.projects or item[1].law != "fluid"]
+    if len(stiff) < 2:
         return None
-    field, section = fastest
+    (field, section), *others = stiff
     ratio = section.wave_speed() / max(others[0][1].wave_speed(), 1e-9)
     if ratio < MUCH_STIFFER:
         return None
