@@ -29,6 +29,11 @@ def scene(*objects, **changes):
 
 CASES = [
     ([], {"material": {"law": "sand"}}, "material.law"),
+    (
+        [],
+        {"parts": [{"region": {"upper": [9, 9, 0.2]}, "material": {"law": "sand"}}]},
+        "parts.0.material.law",
+    ),
     ([], {"binding": "particles"}, "binding"),
     ([], {"accuracy": {**ALONE["accuracy"], "particles_per_axis": 3}}, "accuracy.particles"),
     ([], {"boundaries": [SLIPPERY]}, "boundaries.foot.contact"),

@@ -5,14 +5,18 @@ import pytest
 
 from phy124.accuracy.expectation import features
 from phy124.boundaries import Container, HalfSpace
+from phy124.errors import InputError
 from phy124.forces import Gravity
+from phy124.generators.shapes import ball
 from phy124.liquid.mixed import MixedSolver
 from phy124.liquid.solver import LiquidSolver
 from phy124.materials import Fluid, NeoHookean
 from phy124.mpm import Model, State
+from phy124.runtime.context import RunContext
 from phy124.scene import Scene
 from phy124.scene.liquids import refuse_unprojectable
 from phy124.schema.region import Region
+from phy124.simulation import Simulation, prepare
 from support.liquids import DENSITY, TANK, G, block, field, heights, run
 
 OIL = 0.8 * DENSITY
@@ -163,3 +167,24 @@ def test_oil_on_water_may_hold_other_materials_and_a_free_solid():
     data["objects"] = [*data["objects"], {**stone, "material": {"law": "sand"}}, cork]
     data["accuracy"] = {"liquid": "projection"}
     refuse_unprojectable(Scene.from_data(data))
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"contacts": True}, r"^contacts = true: "),
+        ({"view.outputs": ["force"]}, r"^view.outputs = force: "),
+        ({"object.held": True}, r"^object.held = true: "),
+        ({"stiffness_profile": {"kind": "sine", "offset": 2.0}}, r"^stiffness_profile = sine: "),
+        ({"boundaries": [{"kind": "ground"}, {"kind": "held"}]}, r"^boundaries.1 = held: "),
+        (
+            {"boundaries": [{"kind": "gripper", "thick": 0.01}]},
+            r"^boundaries.gripper = 0.01 m: each pad",
+        ),
+    ],
+)
+def test_refusals_of_projection_name_field_and_value(changes, said):
+    accuracy = {"cells": 8, "liquid": "projection"}
+    scene = Scene.named("water").replaced({"accuracy": accuracy, "time.frames": 1, **changes})
+    with pytest.raises(InputError, match=said):
+        Simulation(prepare(ball(400), scene, RunContext(threads=1)))

@@ -104,6 +104,10 @@ def test_a_scene_cannot_be_changed():
             {"time": {"frames": 0}},
             "time.frames = 0: it must be a whole number from 1 to 10000. Try 14",
         ),
+        (
+            {"material": {"law": "fluid", "viscosity": 1e6}},
+            "material.viscosity = 1000000.0: it must be a number from 0 to 100000. Try 100000.",
+        ),
         ({"time": {"frames": 2.5}}, "time.frames = 2.5: it must be a whole number"),
         ({"accuracy": {"cells": 2}}, "accuracy.cells = 2: it must be a whole number from 4 to 256"),
         (

@@ -87,13 +87,24 @@ def _refusals_of_materials(scene: Any, materials: Sequence[Material]) -> Iterato
     for section in materials:
         if not is_elastic(section) and not scene.couples:
             limit = "the lattice solver is for elastic laws, which do not yield."
-            yield Refusal("material.law", getattr(section, "law", "?"), limit, remedy)
+            yield Refusal(_field_of(scene, section), getattr(section, "law", "?"), limit, remedy)
     if scene.properties is None or not scene.on_lattices[0]:
         return
     for law in sorted(scene.properties.laws() & LAWS.by_name.keys()):
         if not is_elastic(LAWS.by_name[law].model_validate({"law": law})):
             limit = "an object on a lattice must consist of elastic materials only."
             yield Refusal("properties.file", f"law {law}", limit, remedy)
+
+
+def _field_of(scene: Any, section: Material) -> str:
+    """Return the path of a material's law in the scene; the first one if several are equal."""
+    owners = [("", scene), *((f"objects.{i}.", item) for i, item in enumerate(scene.objects))]
+    for prefix, body in owners:
+        parts = [(f"parts.{i}.", part) for i, part in enumerate(body.parts)]
+        for inner, owner in (("", body), *parts):
+            if owner.material == section:
+                return f"{prefix}{inner}material.law"
+    return "material.law"
 
 
 def _refusals_of_couples(scene: Any) -> Iterator[Refusal]:

@@ -67,9 +67,9 @@ def walls_of(
     """Yield the walls of boundaries; add the boundaries' motions to the tracks."""
     t = types(model.real)
     for name, boundary in boundaries:
+        boundary.refuse_thin(model)
         parts = boundary.parts()
         for label, part in zip(boundary.part_names(), parts, strict=True):
-            part.refuse_thin(model)
             track = part.track(model)
             yield Wall(
                 name if len(parts) == 1 else f"{name}_{label}",

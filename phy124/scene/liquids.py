@@ -64,26 +64,28 @@ def _obstacles(scene: Any, *, mixes: bool) -> Iterator[tuple[str, object, str]]:
     `mixes` is true if some materials are not liquids.
     """
     yield from _of_objects(scene)
-    for wall in () if mixes else scene.boundaries:
+    for index, wall in enumerate(() if mixes else scene.boundaries):
         if wall.holds:
-            yield "boundaries", wall.kind, "boundaries that hold material"
+            yield f"boundaries.{index}", wall.kind, "boundaries that hold material"
         if wall.object is not None:
-            yield "boundaries.object", wall.object, "boundaries that act on a single object"
-    softens = scene.stiffness_profile is not None and not mixes
-    asked = {
-        "contacts": (scene.keeps_contacts, "forces of walls on single particles"),
-        "stiffness_profile": (softens, "a stiffness that changes"),
-    }
-    yield from ((field, "set", limit) for field, (wanted, limit) in asked.items() if wanted)
+            limit = "boundaries that act on a single object"
+            yield f"boundaries.{index}.object", wall.object, limit
+    if scene.keeps_contacts:
+        asked = ("contacts", "true") if scene.contacts else ("view.outputs", "force")
+        yield *asked, "forces of walls on single particles"
+    if scene.stiffness_profile is not None and not mixes:
+        yield "stiffness_profile", scene.stiffness_profile.kind, "a stiffness that changes"
 
 
 def _of_objects(scene: Any) -> Iterator[tuple[str, object, str]]:
     wet = [_is_liquid(materials) for materials in scene.object_materials]
-    for body, holds_liquid in zip(scene.every_object, wet, strict=True):
+    for index, (body, holds_liquid) in enumerate(zip(scene.every_object, wet, strict=True)):
         if body.held and holds_liquid:
-            yield "object.held", body.name, "liquids that are held"
+            field = f"objects.{index - 1}.held" if index else "object.held"
+            yield field, "true", "liquids that are held"
         if holds_liquid is None:
-            yield "material.law", body.name, "objects that are partly liquid"
+            field = f"objects.{index - 1}.parts" if index else "parts"
+            yield field, f"parts of {body.name}", "objects that are partly liquid"
     moving = [w for w, body in zip(wet, scene.every_object, strict=True) if not body.scenery]
     order = [number for number, holds_liquid in enumerate(moving) if holds_liquid]
     if order and order[-1] - order[0] >= len(order):

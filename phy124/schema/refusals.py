@@ -1,6 +1,7 @@
 """Turn validation errors of pydantic into messages that state the limit and a remedy."""
 
 import difflib
+import math
 import re
 from collections.abc import Mapping
 from typing import Any, NamedTuple, TypeVar
@@ -154,7 +155,9 @@ def _suggest(declared: Declaration, node: Node, value: Any) -> str:
     known = [str(name) for choice in declared.choices(node) for name in choice.get("enum", [])]
     if known:
         return did_you_mean(str(value), known)
-    legal = node.get("default")
+    legal, largest = node.get("default"), node.get("maximum")
+    if legal == 0 and isinstance(value, int | float) and value > (largest or math.inf):
+        legal = largest  # 0 often means that something is omitted, which the user does not want
     numbers = legal if isinstance(legal, list) else [legal]
     if legal in (None, []) or any(
         isinstance(x, bool) or not isinstance(x, int | float) for x in numbers
