@@ -56,6 +56,54 @@ def test_a_little_inside_a_wall_is_noted_and_touching_is_not():
     assert note.startswith("The ground: ") and "and stays there" in note
 
 
+def test_a_small_object_inside_a_wall_is_refused():
+    """The object is only a few per cent of the material in the scene."""
+    small = {"name": "pebble", "shape": "sphere", "size": 0.3, "place": [1.2, 0.0], "lift": 0.1}
+    tank = {"kind": "container", "inside": {"lower": [-0.6, -0.6, 0], "upper": [0.6, 0.6, 9]}}
+    with pytest.raises(InputError, match=r"^boundaries.1 = container: 100.0% of pebble starts"):
+        run(boundaries=[{"kind": "ground"}, tank], objects=[small])
+
+
+def test_an_object_on_a_path_that_contains_another_is_named():
+    ram = {"name": "ram", "shape": "sphere", "size": 0.9, "lift": 0.1}
+    still = {"kind": "path", "times": [0, 1], "points": [[0, 0, 0], [1, 0, 0]]}
+    with pytest.raises(InputError, match=r"^objects.0 = sphere: .* starts inside it"):
+        run(objects=[{**ram, "motion": still}])
+
+
+AWAY = {"lower": [5, 5, 5], "upper": [6, 6, 6]}
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        (
+            {"boundaries": [{"kind": "ground"}, {"kind": "held", **AWAY}]},
+            r"^boundaries.1 = held: at the start, it contains no material",
+        ),
+        (
+            {"forces": [{"kind": "gravity"}, {"kind": "impulse", "p": [1, 0, 0], "region": AWAY}]},
+            r"^forces.1.region = .*: it holds no particle",
+        ),
+        (
+            {"parts": [{"region": AWAY, "material": {"law": "sand"}}]},
+            r"^parts.0 = a section with region: it holds no particle",
+        ),
+        (
+            {"objects": [{"name": "hat", "shape": "box", "place": [3, 0], "on": "object"}]},
+            r"^objects.0.on = object: it is not above",
+        ),
+    ],
+)
+def test_what_contains_or_meets_nothing_is_refused_by_its_path(changes, said):
+    with pytest.raises(InputError, match=said):
+        run(**changes)
+
+
+def test_a_clamp_may_wait_for_particles():
+    run(**{"boundaries": [{"kind": "held", **AWAY}], "accuracy.solver": "mpm"})
+
+
 def test_a_rigid_body_faster_than_its_stiffness_is_noted():
     hard = {"material": {"law": "rigid"}, "time.frames": 2, "object.lift": 3.0}
     slow = run(**hard, **{"object.velocity": [0, 0, -3.0]})

@@ -122,8 +122,10 @@ class Force(Section):
         }
         return self.model_copy(update=part_of)
 
-    def chosen(self, model: Model) -> wp.array:
+    def chosen(self, model: Model, field: str = "forces.region") -> wp.array:
         """Return the indices of the movable particles in the force's region.
+
+        `field` is the path of the region in the scene, for messages.
 
         Raises:
             InputError: The region contains no particle.
@@ -133,9 +135,9 @@ class Force(Section):
         inside = inside & of_object(model, self.object)
         if not inside.any():
             raise InputError(
-                "forces.region",
+                field,
                 self.region,
-                f"the region of {type(self).__name__} holds no particle.",
+                "it holds no particle.",
                 "Enlarge the region, or move it onto the object's initial position.",
             )
         return wp.array(np.flatnonzero(inside).astype(np.int32), device=model.device)

@@ -18,7 +18,7 @@ from phy124.materials import AnyMaterial
 from phy124.particles import Particles
 from phy124.properties import COLUMNS, FRACTION
 from phy124.scene import Part, Scene
-from phy124.schema.refusals import explain
+from phy124.schema.refusals import explain, shorten
 
 
 def assign(
@@ -55,7 +55,9 @@ def assign(
             inside &= sample_brightness(x, part.mask, crop, field=f"parts.{number - 1}.mask") > 0.5
         if not inside.any() and not part.surroundings:
             remedy = "Choose a larger region, another mask or other Gaussians."
-            raise InputError(f"parts.{number - 1}", part.data(), "it holds no particle.", remedy)
+            raise InputError(
+                f"parts.{number - 1}", shorten(part.data()), "it holds no particle.", remedy
+            )
         chosen[inside] = number
     return chosen
 

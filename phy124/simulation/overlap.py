@@ -1,4 +1,6 @@
-"""Refuses bodies that overlap at the start, since contact cannot separate overlapping bodies."""
+"""Refuses bodies that overlap at the start, since contact cannot separate overlapping bodies, and
+regions of forces and clamps without material.
+"""
 
 from collections.abc import Iterator, Sequence
 from itertools import combinations, product
@@ -10,6 +12,7 @@ from numpy.typing import NDArray
 from phy124.boundaries import Boundary
 from phy124.boundaries.planes import Plane
 from phy124.errors import InputError
+from phy124.lattice.clamps import distances
 from phy124.mpm import FreeBody, Model
 from phy124.particles import Particles
 from phy124.scene import Scene
@@ -23,7 +26,11 @@ MOST = 0.1
 class Buried(NamedTuple):
     """A wall that contains material at the start."""
 
+    index: int
+    """Index of the wall among the scene's boundaries."""
     kind: str
+    material: str
+    """Name of the material in a message: that of an object, if there are several."""
     fraction: float
     """Fraction of the material more than `DEEPEST` cells behind the wall's surface."""
     depth: float
@@ -33,21 +40,47 @@ class Buried(NamedTuple):
     def what(self) -> str:
         """Describe the overlap, as a clause of a message."""
         return (
-            f"{self.fraction:.1%} of the material starts inside it, up to {self.depth:.2g} m deep"
+            f"{self.fraction:.1%} of {self.material} starts inside it, up to {self.depth:.2g} m "
+            "deep"
         )
 
 
-def refuse_buried(boundaries: Sequence[Boundary], model: Model) -> None:
-    """Check that an object does not start inside a wall.
+def refuse_empty(scene: Scene, model: Model) -> None:
+    """Check that the regions of forces, and the clamps of lattices, contain material at the start.
+
+    Clamps in other scenes also hold material that arrives later.
 
     Raises:
-        InputError: More than the fraction `MOST` of the material starts inside a wall.
+        InputError: A region or a clamp contains no material.
     """
-    for wall in find_buried(boundaries, model):
+    for index, force in enumerate(scene.forces):
+        if force.region is not None and not force.idle:
+            force.chosen(model, f"forces.{index}.region")
+    for index, wall in enumerate(scene.boundaries):
+        if wall.holds and scene.on_lattice and not scene.couples:
+            x = model.rest_of(wall.object)
+            if not (distances(wall, model, x)[:, 3] < 0).any():
+                limit = "at the start, it contains no material that it could hold."
+                remedy = "Enlarge it, or move it onto the object's initial position."
+                raise InputError(f"boundaries.{index}", wall.kind, limit, remedy)
+
+
+def refuse_buried(scene: Scene, model: Model) -> None:
+    """Check that no object starts inside a wall.
+
+    `scene` has a boundary for each object on a path, after all other boundaries.
+
+    Raises:
+        InputError: More than the fraction `MOST` of an object starts inside a wall.
+    """
+    led = [number for number, item in enumerate(scene.objects) if item.path is not None]
+    for wall in find_buried(scene.boundaries, model):
         if wall.fraction > MOST:
             limit = f"{wall.what}; a wall stops the material, but does not push it out."
-            remedy = "Move the wall, or lift the object (object.lift)."
-            raise InputError("boundaries", wall.kind, limit, remedy)
+            remedy = "Move the wall, or move the object (place, lift)."
+            after = wall.index - (len(scene.boundaries) - len(led))
+            field = f"boundaries.{wall.index}" if after < 0 else f"objects.{led[after]}"
+            raise InputError(field, wall.kind, limit, remedy)
 
 
 def notes(boundaries: Sequence[Boundary], model: Model) -> list[str]:
@@ -58,24 +91,27 @@ def notes(boundaries: Sequence[Boundary], model: Model) -> list[str]:
 
 
 def find_buried(boundaries: Sequence[Boundary], model: Model) -> Iterator[Buried]:
-    """Yield the walls with material behind their surface at the start.
+    """Yield the walls with material of an object behind their surface at the start.
 
     A bounded solid with sticky contact is a clamp and may overlap the material.
     """
     moves = model.moves
-    for boundary in boundaries:
+    for index, boundary in enumerate(boundaries):
         for wall in boundary.parts():
             if wall.contact == "sticky" and not isinstance(wall, Plane):
                 continue
             track = wall.track(model)
             shift = np.zeros(3) if track is None else track.values(np.zeros(1))[0]
-            subject = np.zeros(len(model), bool)
-            subject[model.named(wall.object)] = True
-            depth = wall.measure_depth(model.rest[subject & moves] - shift, model)
-            deep = depth > DEEPEST * model.dx
-            if deep.any():
-                kind = type(boundary).__name__.lower()
-                yield Buried(kind, float(deep.mean()), float(depth.max()))
+            names = [wall.object] if wall.object is not None else [*model.names] or [None]
+            for name in names:
+                chosen = model.named(name)
+                depth = wall.measure_depth(model.rest[chosen][moves[chosen]] - shift, model)
+                deep = depth > DEEPEST * model.dx
+                if deep.any():
+                    kind = type(boundary).__name__.lower()
+                    what = "the material" if len(model.names) < 2 else f"{name}"
+                    fraction, deepest = float(deep.mean()), float(depth.max())
+                    yield Buried(index, kind, what, fraction, deepest)
 
 
 def refuse_solids(solids: Sequence[FreeBody], x: NDArray, scene: Scene) -> None:

@@ -71,7 +71,8 @@ def stack(placed: Sequence[Gaussians], scene: Scene) -> list[Gaussians]:
         if rise is None:
             limit = "it is not above the object on which it should stand."
             remedy = f"Set the `place` of {names[index]} to the `place` of the lower object."
-            raise InputError(f"{names[index]}.on", objects[index].on, limit, remedy)
+            field = f"objects.{index - 1}.on" if index else "object.on"
+            raise InputError(field, objects[index].on, limit, remedy)
         every = np.ones(len(raised[index]), bool)
         up = -rise + objects[index].lift
         raised[index] = shift(raised[index], every, (0.0, 0.0, up))

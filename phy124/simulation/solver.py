@@ -37,7 +37,7 @@ from phy124.scene import Object, Scene
 from phy124.scene.lattices import choose_solver
 from phy124.scene.objects import find_pair
 from phy124.simulation.bodies import planes_for_free
-from phy124.simulation.overlap import refuse_buried, refuse_sunken
+from phy124.simulation.overlap import refuse_buried, refuse_empty, refuse_sunken
 from phy124.simulation.setup import Setup
 
 if TYPE_CHECKING:
@@ -94,7 +94,8 @@ def make_solver(setup: Setup, observers: Sequence[Observer]) -> AnySolver:
         device=setup.context.device,
         gradient=scene.resolution.gradient,
     )
-    refuse_buried(scene.boundaries, model)
+    refuse_empty(scene, model)
+    refuse_buried(scene, model)
     refuse_sunken(setup.free, planes_for_free(scene), model)
     state = State.of(model, v, C)
     options: dict[str, Any] = {
