@@ -416,6 +416,15 @@ def test_laws_that_may_stay_flat_say_so(law):
     assert not fast.notes() and not followed()[1].notes()
 
 
+@pytest.mark.parametrize(("packed", "noted"), [(-0.7, True), (-0.5, False)])
+def test_snow_denser_than_ice_is_noted(packed, noted):
+    solver, watch = followed(material=Snow(density=400))
+    history = solver.state.history.numpy()
+    history[: len(history) // 2, 0] = packed
+    solver.state.history.assign(history)
+    assert ("50% of the snow" in " ".join(watch.notes())) == noted
+
+
 def test_the_note_reaches_the_command_line_and_the_page(tmp_path, capsys):
     write_ply(tmp_path / "ball.ply", ball(300))
     arguments = ["simulate", str(tmp_path / "ball.ply"), "--scene", "push_right", "--frames", "2"]

@@ -156,6 +156,16 @@ class Material(Section):
         """Return notes for the user about a run in which the largest speed was `speed` [m/s]."""
         return []
 
+    @staticmethod
+    def notes_on(density: NDArray, history: NDArray) -> list[str]:
+        """Return notes for the user about the particles of this law at the end of a run.
+
+        Args:
+            density: Densities at rest [P], kg/m^3.
+            history: History variables [P,2].
+        """
+        return []
+
 
 def viscous_substep(density: float, viscosity: float, dx: float) -> float:
     """Return the substep [s] in which viscosity just stops a particle's strain: rho dx^2 / (8 eta).

@@ -14,6 +14,10 @@ from phy124.kernels.transfer import Law
 from phy124.materials.base import FEW, Elastic, Logarithmic
 from phy124.materials.lumps import lumps
 
+ICE = 917.0
+"""Density of ice [kg/m^3]."""
+DENSE = 1 / 3
+"""Fraction of the snow denser than ice from which a note says so; about 0.2 in the preset."""
 PACKING = 2 / 3
 """Largest product xi c of snow's hardening xi and critical compression c.
 
@@ -143,6 +147,17 @@ class Snow(Elastic):
         if self.unevenness:
             rows[:, 1] = np.expm1(self.unevenness * lumps(x))
         return rows
+
+    @staticmethod
+    def notes_on(density: NDArray, history: NDArray) -> list[str]:
+        """Return a note if much of the snow is packed beyond the density of ice."""
+        share = float((density > ICE * (1 + history[:, 0])).mean())
+        if share < DENSE:
+            return []
+        return [
+            f"{share:.0%} of the snow is packed to more than the density of ice ({ICE:g} kg/m^3). "
+            "A larger material.E, a larger material.hardening or a slower impact avoids this."
+        ]
 
     def theta(self) -> tuple[float, ...]:
         """Return the law's parameters: mu, lambda, smallest and largest stretch, hardening."""

@@ -231,6 +231,7 @@ class Watchdog(Observer):
                 )
         for material in self.model.materials:
             notes += material.notes_at(self._fastest)
+        notes += self._notes_of_laws()
         if self.max_J > SWOLLEN and not any(m.rounds for m in self.model.materials):
             notes.append(
                 f"Some of the material swelled to {self.max_J:.2g} times its volume; a real "
@@ -258,6 +259,15 @@ class Watchdog(Observer):
                 "size, which is too small to see. accuracy.precision = float64 avoids it."
             )
         return notes
+
+    def _notes_of_laws(self) -> Iterator[str]:
+        by_law = {material.device_law: material for material in self.model.materials}
+        for group in self.model.groups:
+            part = group.particles
+            if group.law.project is not None:
+                density = self.model.mass.numpy()[part] / self.model.volume.numpy()[part]
+                history = self.state.history.numpy()[part]
+                yield from by_law[group.law].notes_on(density, history)
 
     def report(self, frames: Sequence[Frame] = ()) -> dict[str, Any]:
         """Return the sections about the balance and the lost energy."""
