@@ -201,6 +201,16 @@ def test_overlapping_objects_are_refused_by_name():
         Simulation(prepare(ball(400), scene(objects=[{**BOX, "place": [0, 0.3]}])))
 
 
+@pytest.mark.parametrize("sides", [[1, 1, 0.01], [1, 0.02, 0.02]])
+def test_thin_object_inside_another_is_refused(sides):
+    """The sheet and the rod are thinner than a cell, so they share at most a layer of cells."""
+    thin = {**BOX, "sides": sides, "size": 0.6, "place": [0, 0]}
+    for lift in (0.6, 0.85):
+        inside = scene(objects=[{**thin, "lift": lift}])
+        with pytest.raises(InputError, match=r"overlap at the start: \d+% of one of them"):
+            prepare(ball(400), inside, RunContext(threads=1))
+
+
 def test_adjacent_object_does_not_stand_on_the_other():
     with pytest.raises(InputError, match=r"copy.on = object: it is not above the object"):
         Simulation(

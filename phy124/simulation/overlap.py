@@ -7,6 +7,7 @@ from itertools import combinations, product
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from phy124.boundaries import Boundary
@@ -19,6 +20,10 @@ from phy124.scene import Scene
 
 DEEPEST = 1.0
 """Largest overlap allowed at the start [cells]; surfaces are known to within one cell."""
+INSIDE = 1 / 3
+"""Largest fraction of an object that may start inside an object on a lattice. An object thinner
+than a cell shares at most a layer of cells with another object, even if it is completely inside.
+"""
 MOST = 0.1
 """Largest fraction of the material that may start deeper than `DEEPEST` inside a wall."""
 
@@ -155,16 +160,38 @@ def refuse_objects(objects: Sequence[Particles], scene: Scene) -> None:
         np.unique(np.floor(particles.x / scene.spacing).astype(np.int64), axis=0)
         for particles in objects
     ]
-    for (i, first), (j, second) in combinations(enumerate(cells), 2):
+    for i, j in combinations(range(len(objects)), 2):
+        first, second = cells[i], cells[j]
         both, count = np.unique(np.concatenate([first, second]), axis=0, return_counts=True)
         shared = both[count > 1]
-        depth = 0.0 if not len(shared) else float((np.ptp(shared, axis=0) + 1).min())
-        if depth * scene.spacing > DEEPEST * scene.dx:
+        if not len(shared):
+            continue
+        depth = float((np.ptp(shared, axis=0) + 1).min()) * scene.spacing
+        inside = max(_measure_inside(objects[a], objects[b]) for a, b in ((i, j), (j, i)))
+        if depth > DEEPEST * scene.dx:
             fraction = len(shared) / min(len(first), len(second))
-            limit = (
-                f"they overlap at the start by about {depth * scene.spacing:.2g} m "
-                f"({fraction:.0%} of the smaller one)."
-            )
-            upper, lower = scene.names[j], scene.names[i]
-            remedy = f'Change place or lift, or let {upper} stand on the other: on = "{lower}".'
-            raise InputError("objects", f"{lower} and {upper}", limit, remedy)
+            limit = f" by about {depth:.2g} m ({fraction:.0%} of the smaller one)."
+        elif inside > INSIDE:
+            limit = f": {inside:.0%} of one of them is inside the other."
+        else:
+            continue
+        upper, lower = scene.names[j], scene.names[i]
+        limit = f"they overlap at the start{limit}"
+        remedy = f'Change place or lift, or let {upper} stand on the other: on = "{lower}".'
+        raise InputError("objects", f"{lower} and {upper}", limit, remedy)
+
+
+def _measure_inside(particles: Particles, other: Particles) -> float:
+    """Return the fraction of the material that is inside another object's surface; 0 if the other
+    object is not on a lattice.
+    """
+    if other.surface is None or not len(other.surface):
+        return 0.0
+    points, normals = other.surface[:, :3], other.surface[:, 3:6]
+    near = np.all((particles.x > points.min(axis=0)) & (particles.x < points.max(axis=0)), axis=1)
+    if not near.any():
+        return 0.0
+    x = particles.x[near]
+    nearest = scipy.spatial.KDTree(points).query(x)[1]
+    behind = ((x - points[nearest]) * normals[nearest]).sum(axis=1) < 0
+    return float(particles.volume[near][behind].sum() / particles.volume.sum())
