@@ -152,6 +152,26 @@ def test_force_on_particles_presses_the_floor_beside_bodies():
     assert press == pytest.approx(DENSITY * G * volume, rel=0.01)
 
 
+def with_solid(solid: FreeBody, mixture: bool):
+    """A free solid in a tank of water, alone or beside an elastic block."""
+    water = block((0, 0, 0), (1, 1, LEVEL), CELLS)
+    if mixture:
+        return mixed(water, block(*box((0.2, 0.2, 0.8), (4, 4, 4)), CELLS), DENSITY, free=[solid])
+    outside = water[solid.measure_depth(water) < 0]
+    return liquid(outside, CELLS, [TANK], free=[solid], planes=TANK.sides())
+
+
+@pytest.mark.parametrize("mixture", [False, True])
+def test_sphere_on_the_floor_is_lifted_like_in_free_water(mixture):
+    radius, frames = 0.125, 12
+    solid = FreeBody("solid", "sphere", (radius,) * 3, (0.52, 0.5, radius), density=1e6)
+    solver = run(with_solid(solid, mixture), 4)
+    solver.free.begin()
+    lift = run(solver, frames).free.wrenches(frames / 24)[0].force
+    assert lift[2] == pytest.approx(DENSITY * G * solid.volume, rel=0.12)
+    np.testing.assert_allclose(lift[:2], 0.0, atol=0.02 * lift[2])
+
+
 @pytest.mark.parametrize("mixture", [False, True])
 @pytest.mark.parametrize("shape", ["sphere", "capsule"])
 def test_water_does_not_turn_a_solid_about_an_axis_of_symmetry(mixture, shape):
@@ -159,14 +179,8 @@ def test_water_does_not_turn_a_solid_about_an_axis_of_symmetry(mixture, shape):
     half = (0.15,) * 3 if shape == "sphere" else (0.3, 0.15, 0.15)
     spin = np.array((2, 0, 0)) if shape == "capsule" else np.zeros(3)
     solid = FreeBody("solid", shape, half, (0.52, 0.47, 0.45), density=10, spin=tuple(spin))
-    water = block((0, 0, 0), (1, 1, LEVEL), CELLS)
-    if mixture:
-        beside = block(*box((0.2, 0.2, 0.8), (4, 4, 4)), CELLS)
-        solver = mixed(water, beside, DENSITY, free=[solid])
-    else:
-        outside = water[solid.measure_depth(water) < 0]
-        solver = liquid(outside, CELLS, [TANK], free=[solid], planes=TANK.sides())
-    turned = rotation_matrices(run(solver, 6).free.poses()[:, 3:])[0]
+    solver = run(with_solid(solid, mixture), 6)
+    turned = rotation_matrices(solver.free.poses()[:, 3:])[0]
     axes = turned if shape == "sphere" else turned[:, :1]
     np.testing.assert_allclose(solver.free.motions()[0, 3:] @ axes, spin @ axes, atol=1e-3)
 

@@ -173,6 +173,8 @@ class Cells:
         self.known, self.also = (self._zeros(count, int) for _ in range(2))
         self.open, self.shares = self._zeros(count, t.vec4), self._zeros(count, t.vec2)
         """Open fractions of the low faces of each cell; fractions of two B-splines inside walls."""
+        self.covers = self._zeros(count, t.vec3)
+        """Fractions of the low faces of each cell that a freely moving solid closes."""
         self.hats, self.phi = self._zeros(count, real), self._zeros(count, real)
         self.phi.fill_(float(EMPTY))
         self.liquid = self._zeros(count, int)
@@ -251,7 +253,8 @@ class Cells:
         self._kept = [wp.clone(array) for array in self._walls]
 
     def restore_walls(self) -> None:
-        """Restore the copied fixed walls."""
+        """Restore the copied fixed walls, and remove all other walls."""
+        self.covers.zero_()
         for array, kept in zip(self._walls, self._kept, strict=True):
             wp.copy(array, kept)
 

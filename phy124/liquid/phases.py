@@ -318,7 +318,8 @@ class Phases:
 
     def _divergence(self, worker: int) -> Recorded:
         cells, walls = self._cells, self._walls
-        inputs = [int(walls.move), cells.lattice, cells.window, walls.motions, cells.open]
+        inputs = [int(walls.move), self._solids.first(walls), cells.lattice, cells.window]
+        inputs += [walls.motions, cells.open, cells.covers]
         inputs += [cells.distances, cells.owners, cells.liquid]
         inputs += [self.viscosity.carry, cells.velocity]
         kernel = pressure.make_divergence(self._model.real)
@@ -366,8 +367,9 @@ class Phases:
         part, parts = self._projection.part(worker)
         inputs = [part, self._mixture.density, self._projection.counts, cells.listed, cells.lattice]
         inputs += [cells.window, tracks.clock, tracks.values, walls.motions]
-        inputs += [cells.open, cells.distances, cells.owners, self._mixture.densities]
-        inputs += [cells.phi, cells.pressure, self.pushes.gains]
+        inputs += [cells.open, cells.covers, cells.distances, cells.owners]
+        inputs += [self._mixture.densities, cells.phi, cells.pressure, self.pushes.gains]
+        inputs.append(self._solids.first(walls))
         outputs = [self._impulses_of_walls.rows(worker)]
         if self._bodies is None:
             inputs.append(len(walls.all))

@@ -91,7 +91,7 @@ class Solids:
     def jumps(self, cells: Cells, walls: Walls, worker: int) -> Recorded:
         """Return a worker's launch that writes the rows of J (phy124/kernels/liquid/solids.py)."""
         inputs = [self.first(walls), cells.lattice, cells.window, cells.open]
-        inputs += [cells.distances, cells.owners, cells.liquid, self.centres]
+        inputs += [cells.covers, cells.distances, cells.owners, cells.liquid, self.centres]
         outputs = [cells.which, cells.jumps, cells.turns]
         return STAGE, cells.record(worker, kernels.make_jumps(self._model.real), inputs, outputs)
 

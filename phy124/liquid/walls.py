@@ -180,7 +180,7 @@ class Walls:
         points, count = int(np.prod(2 * size + 1)), int(np.prod(size))
         near = [cells.distances]
         distance = record(kernels.make_wall_distance, points, [], [*near, cells.owners])
-        openings = record(kernels.make_openings, count, near, [cells.open])
+        openings = record(kernels.make_openings, count, near, [cells.open, cells.covers])
         return distance, [openings, record(kernels.make_eighths, 8 * count, near, [cells.eighths])]
 
     def _region(self, cells: Cells, group: Group) -> Region:

@@ -16,7 +16,15 @@ from phy124.kernels.liquid.listed import count_of, share
 from phy124.kernels.liquid.mixture import CENTRE
 from phy124.kernels.liquid.pressure import NEAREST
 from phy124.kernels.liquid.transfer import within
-from phy124.kernels.liquid.walls import centre_of, halves, point, solid_face, speed_of, wall_across
+from phy124.kernels.liquid.walls import (
+    centre_of,
+    halves,
+    part_of_solid,
+    point,
+    solid_face,
+    speed_of,
+    wall_across,
+)
 from phy124.kernels.work import IMPULSE, MOVED, TURNED, WORK
 
 Sums = wp.array3d(dtype=wp.float64)
@@ -131,7 +139,8 @@ def make_gains(real: Any):
 def make_wall_impulses(real: Any):
     """Kernel over parts of the cells: adds the impulses of the pressure on walls to `sums_out`.
 
-    `pressed_out` receives the impulses on the walls from the index `bodies` on, which are bodies.
+    The walls from the index `solid` on are solids, and those from `bodies` on are bodies.
+    `pressed_out` receives the impulses on bodies.
     """
     t = types(real)
 
@@ -147,12 +156,14 @@ def make_wall_impulses(real: Any):
         values,
         motions: wp.array2d(dtype=t.vec3),
         open: t.vec4s,
+        covers: t.vec3s,
         distances: t.reals,
         owners: Ints,
         densities: t.vec4s,
         phi: t.reals,
         pressure: Doubles,
         gains: t.vec4s,
+        solid: int,
         bodies: int,
         sums_out: wp.array2d(dtype=wp.float64),
         pressed_out: t.vec3s,
@@ -168,12 +179,20 @@ def make_wall_impulses(real: Any):
             n = listed[k]
             cell = cell_of(n, size)
             pressed = t.vec3()
-            for axis in range(3):
+            # The loop count is not a constant, so that the compiler does not unroll the loop.
+            twice = int(6)
+            for i in range(twice):
+                axis = i // 2
                 jump = open[n + stride(axis, size)][axis] - open[n][axis]
-                if jump != real(0.0):
-                    owner = wall_across(cell, axis, jump, size, distances, owners, dx)
+                closing = part_of_solid(jump, covers, n, stride(axis, size), axis)
+                owner = solid
+                if i % 2 == 1:
+                    closing = jump - closing
+                if closing != real(0.0):
+                    if i % 2 == 1:
+                        owner = wall_across(cell, axis, closing, size, distances, owners, dx)
                     if owner >= 0:
-                        way = way_to_wall(cell, axis, jump, size, distances, dx)
+                        way = way_to_wall(cell, axis, closing, size, distances, dx)
                         # `here` is p dt / (density dx) at the wall.
                         here = real(pressure[n])
                         here += head_along(way, axis, clock[0], a, gains, n, densities, dx)
@@ -181,7 +200,7 @@ def make_wall_impulses(real: Any):
                             # The surface of a thin layer is between the wall and the centre.
                             centre = wp.abs(way) / dx
                             here *= wp.max(centre - phi[n], real(0.0)) / (centre + real(NEAREST))
-                        impulse = here * density * dx * dx * dx * jump
+                        impulse = here * density * dx * dx * dx * closing
                         x = centre_of(cell, lattice, low)
                         speed = speed_of(motions, owner, x)[axis]
                         x[axis] = x[axis] + way

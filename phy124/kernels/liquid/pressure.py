@@ -15,7 +15,7 @@ from phy124.kernels.arguments import Doubles, Ints, types
 from phy124.kernels.build import build_once, kernel
 from phy124.kernels.items import item
 from phy124.kernels.liquid.faces import cell_of, entry, inner, stride
-from phy124.kernels.liquid.walls import centre_of, speed_of, wall_across
+from phy124.kernels.liquid.walls import centre_of, part_of_solid, speed_of, wall_across
 
 NEAREST = wp.constant(0.02)
 """Lower bound of a cell centre's distance from the surface [cells]; limits the pressure."""
@@ -93,7 +93,8 @@ def make_assemble(real: Any):
 def make_divergence(real: Any):
     """Kernel over cells: computes the net flux into each cell relative to moving walls [m/s].
 
-    The last solution, multiplied by `carry`, is the first guess of the next solution.
+    `solid` is the index of the first wall that is a solid. The last solution, multiplied by
+    `carry`, is the first guess of the next solution.
     """
     t = types(real)
 
@@ -103,10 +104,12 @@ def make_divergence(real: Any):
         active: Ints,
         ends: Ints,
         moving: int,
+        solid: int,
         lattice,
         window,
         motions: wp.array2d(dtype=t.vec3),
         open: t.vec4s,
+        covers: t.vec3s,
         distances: t.reals,
         owners: Ints,
         liquid: Ints,
@@ -128,11 +131,16 @@ def make_divergence(real: Any):
                 high = item(open, m)[axis]
                 flux += high * item(velocity, m)[axis] - low * item(velocity, n)[axis]
                 jump = high - low
-                if moving > 0 and jump != real(0.0):
-                    owner = wall_across(cell, axis, jump, size, distances, owners, lattice[3])
-                    if owner >= 0:
-                        x = centre_of(cell, lattice, window[0])
-                        flux -= jump * speed_of(motions, owner, x)[axis]
+                if moving > 0:
+                    x = centre_of(cell, lattice, window[0])
+                    part = part_of_solid(jump, covers, n, stride(axis, size), axis)
+                    if part != real(0.0):
+                        flux -= part * speed_of(motions, solid, x)[axis]
+                        jump -= part
+                    if jump != real(0.0):
+                        owner = wall_across(cell, axis, jump, size, distances, owners, lattice[3])
+                        if owner >= 0:
+                            flux -= jump * speed_of(motions, owner, x)[axis]
         right_out[n] = -wp.float64(flux)
         guess = wp.float64(0.0)
         if item(liquid, n) == 1:

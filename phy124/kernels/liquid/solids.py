@@ -36,7 +36,7 @@ from phy124.kernels.liquid.faces import cell_of, entry, stride
 from phy124.kernels.liquid.impulses import Sums, head_along, take_row, way_to_wall
 from phy124.kernels.liquid.listed import Table, Vectors, count_of, share
 from phy124.kernels.liquid.rigid import add_rigid, clear_rigid, rigid_sums, rotation_of
-from phy124.kernels.liquid.walls import centre_of, wall_across
+from phy124.kernels.liquid.walls import centre_of, part_of_solid, wall_across
 
 
 @build_once
@@ -86,7 +86,8 @@ def make_jumps(real: Any):
     """Kernel over cells: computes the rows of J, fluxes per velocity and angular velocity of a
     solid.
 
-    `wall` is the index of the first wall that is a solid; all later walls are solids as well.
+    `wall` is the index of the first wall that is a solid; all later walls are solids as well. In a
+    cell that both a freely moving solid and another wall cut, only the part of the solid counts.
     """
     t = types(real)
 
@@ -99,6 +100,7 @@ def make_jumps(real: Any):
         lattice,
         window,
         open: t.vec4s,
+        covers: t.vec3s,
         distances: t.reals,
         owners: Ints,
         liquid: Ints,
@@ -119,15 +121,23 @@ def make_jumps(real: Any):
         if liquid[n] == 1:
             for axis in range(3):
                 jump = open[n + stride(axis, size)][axis] - open[n][axis]
-                if jump != real(0.0):
-                    owner = wall_across(cell, axis, jump, size, distances, owners, lattice[3])
+                part = part_of_solid(jump, covers, n, stride(axis, size), axis)
+                rest = jump - part
+                if part != real(0.0):
+                    solids[axis] = 0
+                if rest != real(0.0):
+                    owner = wall_across(cell, axis, rest, size, distances, owners, lattice[3])
                     owner -= wall
-                    if owner >= 0:
-                        row[axis] = -wp.float64(jump)
+                    if owner == 0:
+                        part = jump
+                        solids[axis] = 0
+                    elif owner > 0 and wp.abs(rest) > wp.abs(part):
+                        part = rest
                         solids[axis] = owner
-                        if wp.abs(jump) > most:
-                            most = wp.abs(jump)
-                            solid = owner
+                row[axis] = -wp.float64(part)
+                if wp.abs(part) > most:
+                    most = wp.abs(part)
+                    solid = solids[axis]
         for axis in range(3):
             if solids[axis] != solid:
                 row[axis] = wp.float64(0.0)

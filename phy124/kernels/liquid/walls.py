@@ -211,13 +211,27 @@ def wall_across(
     return owner
 
 
+@wp.func
+def part_of_solid(jump: Any, covers: wp.array(dtype=Any), n: int, step: int, axis: int):
+    """Return the part of the jump between a cell's two faces that a freely moving solid causes.
+
+    `covers` contains the fraction of each low face that the solid closes (`make_openings`). The
+    rest of the jump is due to another wall, such as the floor below the solid.
+    """
+    part = covers[n][axis] - covers[n + step][axis]
+    if part != type(jump)(0.0) and wp.abs(jump - part) < type(jump)(SHUT):
+        part = jump
+    return part
+
+
 @build_once
 def make_openings(shape: str, real: Any):
     """Kernel over cells: multiplies the open fractions of low faces by each wall's open fraction.
 
     For a plane, the open fraction is computed from the distances at the corners of the face; for
     other shapes, from 64 points, since distances are not linear at edges. The product is exact if
-    the walls are perpendicular to each other.
+    the walls are perpendicular to each other. `covers_out` receives the fractions that a freely
+    moving solid closes.
     """
     t = types(real)
     distance = SHAPES[shape]
@@ -256,6 +270,7 @@ def make_openings(shape: str, real: Any):
         region: Box,
         distances: t.reals,
         open_out: t.vec4s,
+        covers_out: t.vec3s,
     ):
         cell = cell_of(first + wp.tid(), region[1]) + region[0]
         if not inner(cell, window[1], 0):
@@ -265,6 +280,7 @@ def make_openings(shape: str, real: Any):
         if item(distances, point(cell, 1, 1, 1, window[1])) > real(DISTANT) * dx:
             return
         share = open_out[n]
+        before = share
         centre = centre_of(cell, lattice, window[0])
         for k in range(walls.shape[0]):
             for axis in range(3):
@@ -322,6 +338,9 @@ def make_openings(shape: str, real: Any):
                 if share[axis] > real(1.0) - real(SHUT):
                     share[axis] = real(1.0)
         open_out[n] = share
+        if frame.shape[0] > 0:
+            closed = before - share
+            covers_out[n] = wp.vector(closed[0], closed[1], closed[2])
 
     return openings
 
