@@ -247,6 +247,26 @@ def test_fast_free_solid_does_not_pass_through_a_body(speed):
         assert abs(solver.free.motions()[0, 2]) < speed / 3
 
 
+def test_repetition_of_a_live_run_has_the_same_bounds():
+    """Only the repetition knows from the start that a wall will move."""
+    data = lattice_scene().data()
+    data["boundaries"].append({"kind": "sphere", "centre": [0, -2, 0.5], "radius": 0.2})
+    live = Live(surface_of_ball(), Scene.from_data(data), RunContext(threads=1))
+    bounds, repeated = [], []
+    for index in range(7):
+        if index == 1:
+            live.grab((0, 0, 1.2))
+        elif index == 4:
+            live.move(1, (0, 1, 0))
+        live.step()
+        bounds.append(live._run.solver.rejection.acceleration)
+    again = Simulation(prepare(surface_of_ball(), live.session(), RunContext(threads=1)))
+    for _ in bounds:
+        again.step()
+        repeated.append(again.solver.rejection.acceleration)
+    assert repeated[2:] == bounds[2:]
+
+
 def test_free_solid_set_in_fast_motion_does_not_pass_through():
     data = lattice_scene().data()
     data["object"]["lift"] = 0.0

@@ -5,7 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from phy124.boundaries import Ground
+from phy124.boundaries import Ground, Sphere
+from phy124.boundaries.motion import Path
 from phy124.forces import Acceleration, Gravity, ParticleForce, SetVelocity, Wind
 from phy124.gaussians import Gaussians
 from phy124.materials import NeoHookean
@@ -43,6 +44,19 @@ def test_acceleration_counts_newtons_by_the_lightest():
     s = solver([ParticleForce(f=(2, 0, 0))])
     lightest = min(1.0, float(s.model.mass.numpy().min()))
     assert s.rejection.acceleration == pytest.approx(2 / lightest)
+
+
+def test_displacement_of_a_wall_is_no_acceleration():
+    """Otherwise, a live run would take other substeps than its repetition, which knows the path."""
+    path = Path(times=(0, 1, 2), points=((0, 0, 0), (0, 0, 0), (0, 3, 0)), smooth=False)
+    wall = Sphere(centre=(0, -5, 0), radius=0.5, motion=path)
+    push = ParticleForce(f=(2, 0, 0))
+    alone, beside = (solver([push], boundaries=walls) for walls in ([], [wall]))
+    assert beside.rejection.acceleration == alone.rejection.acceleration
+    beside.rejection.begin(0, 0.5)
+    assert beside.rejection.wall == 0
+    beside.rejection.begin(1, 1.5)
+    assert beside.rejection.wall == pytest.approx(3)
 
 
 def test_only_sudden_forces_are_tried_at_the_start():

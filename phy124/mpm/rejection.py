@@ -172,7 +172,8 @@ def _max_acceleration(
     """Return an upper bound [m/s^2] of the acceleration that forces cause in a time interval."""
     joined, alone = 0.0, 0.0
     for track, flag in zip(tracks.tracks, tracks.flags, strict=True):
-        value = 0.0 if flag & LIMITED else track.largest(start, end)
+        # Tracks without flags are displacements of walls.
+        value = track.largest(start, end) if flag and not flag & LIMITED else 0.0
         joined, alone = (joined + value, alone) if flag & JOINS else (joined, alone + value)
     if not pushes:
         return joined
