@@ -46,6 +46,8 @@ TOLERANCE, LOOSE = 1e-4, 1e-2
 """Largest residual of the pressure equation and of the density equation, relative to the largest
 right-hand side.
 """
+CROWDING = 0.4
+"""Largest rate at which an excess of density counts as a lack of space [1/s]."""
 SETTLE = 4
 """Number of times that the density is corrected before the first step."""
 
@@ -65,6 +67,8 @@ class LiquidSolver(Kept):
         "kick",
         "crowding",
         "_excess",
+        "lasting",
+        "_lasts",
     )
 
     projects: ClassVar[bool] = True
@@ -137,6 +141,10 @@ class LiquidSolver(Kept):
         """Largest mean excess of the liquid's density, as a fraction of the rest density; and the
         excess at the end of the last frame. Only an excess that lasts for two frames counts,
         because an impact compresses the liquid for a moment.
+        """
+        self.lasting, self._lasts = 0.0, 0.0
+        """The same, but both rise by at most `CROWDING` per second, because an impact may compress
+        the liquid for a quarter of a second.
         """
         self.impulses = WallImpulses((), 0, count, model.device)
         self.bind(**acting)
@@ -221,6 +229,7 @@ class LiquidSolver(Kept):
         """Take steps of stable length; `after` follows each step."""
         self._fit()
         started, named = time.perf_counter(), self._seconds()
+        begun = self.clock.time
         self._begin(until)
         with self.runner.on_threads():
             while self.clock.time < until:
@@ -231,6 +240,8 @@ class LiquidSolver(Kept):
         if len(filled):
             excess = float(np.maximum(filled - 1, 0).mean())
             self.crowding, self._excess = max(self.crowding, min(self._excess, excess)), excess
+            self._lasts = min(excess, self._lasts + CROWDING * (self.clock.time - begun))
+            self.lasting = max(self.lasting, self._lasts)
         between = self.timings.setdefault(SCHEDULE, [0.0, 0])
         between[0] += time.perf_counter() - started - (self._seconds() - named)
         between[1] += 1
