@@ -41,6 +41,13 @@ def test_each_makes_its_cause_less():
     assert scene.replaced(softer.changes).material.E == 1e6 / 16
 
 
+def test_no_shorter_substep_is_proposed_for_projected_liquids():
+    water = Scene.named("water")
+    assert water.projects and find_remedies(["substep"], water) == ()
+    compressible = water.replaced({"accuracy.liquid": "compressible"})
+    assert find_remedies(["substep"], compressible)
+
+
 def test_particles_are_a_remedy_on_the_lattice_only():
     scene = Scene.named("press").replaced({"accuracy": {"cells": 32, "solver": "lattice"}})
     (remedy,) = find_remedies(["solver"], scene)

@@ -323,6 +323,21 @@ def test_a_thin_body_of_water_on_a_coarse_grid_runs_through(shape):
     assert report["complete"], report["stopped"]
 
 
+def test_a_lid_that_meets_a_pool_does_not_stop_the_run():
+    """The liquid fills its covered uppermost cells, which lifts it by 0.15 cells."""
+    tank = {"kind": "container", "friction": 0.0}
+    tank["inside"] = {"lower": [-0.6, -0.6, 0], "upper": [0.6, 0.6, 9]}
+    down = {"kind": "path", "times": [0, 0.5], "points": [[0, 0, 0], [0, 0, -0.2]]}
+    lid = {"kind": "half_space", "normal": [0, 0, -1], "point": [0, 0, 0.6], "motion": down}
+    scene = {"material": {"law": "fluid"}, "object": {"size": 1.2}, "boundaries": [tank, lid]}
+    scene |= {"accuracy": {"cells": 12}, "time": {"frames": 7}}
+    block = make_shape("box", (1, 1, 0.4), (0.3, 0.5, 0.8), count=3000)
+    report = Simulation(prepare(block, Scene.from_data(scene))).run().report
+    assert report["stopped"] is None
+    (note,) = (note for note in report["notes"] if "without a physical cause" in note)
+    assert note.startswith("The liquid rose by 0.1")
+
+
 @pytest.mark.slow
 def test_a_stiff_body_that_turns_slowly_runs_through():
     """F grows by less than its last digit; it trembles, wherever it is."""
