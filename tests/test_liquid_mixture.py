@@ -62,6 +62,19 @@ def test_oil_on_water_stays_flat_with_hydrostatic_pressure(threads):
     assert impulse == pytest.approx(solver.model.total_mass * G * duration, rel=0.01)
 
 
+@pytest.mark.parametrize("below", [DENSITY, OIL])
+def test_layer_presses_with_its_weight_on_the_layer_below(below):
+    """Two layers of equal density also press on each other."""
+    solver, _ = layers(below, OIL)
+    run(solver, 6)
+    solver.pairs.begin()
+    start = solver.clock.time
+    force, torque = run(solver, 12).pairs.wrenches(solver.clock.time - start)[0, 1]
+    weight = OIL * 0.25 * G
+    np.testing.assert_allclose(force, (0, 0, weight), atol=0.06 * weight)
+    np.testing.assert_allclose(torque, np.cross((0.5, 0.5, 0.25), force), atol=0.02 * weight)
+
+
 def test_oil_below_water_rises_and_settles_on_top():
     solver, number = layers(OIL, DENSITY, walls=[NARROW], depth=0.25)
     x, mass = solver.state.x.numpy(), solver.model.mass.numpy().astype(float)

@@ -123,6 +123,7 @@ class ImmersedSolver:
             ceiling=self.clock.ceiling, threads=threads, bodies=self.bodies,
             advance_bodies=weakly(self._advance_bodies), whole=model,
         )  # fmt: skip
+        self.liquid.pairs = self.pairs
         self.clock.follow(self.liquid, model.total_mass)
         self._after: Callable[[], None] | None = None
         self._pushed: wp.array | None = None

@@ -79,6 +79,7 @@ def _of_phases(real: Any, form: str) -> Iterator[Any]:
     yield from (make(real) for make in (faces.make_extent, active.make_sweep))
     yield from (active.make_count_active(real), active.make_list_active(real))
     yield from (active.widen, active.make_forget(real), mixture.make_mix(real))
+    yield mixture.make_meeting(real)
     yield from (make(real) for make in (surface.make_levels, surface.make_refill))
     yield from (make(real) for make in (pressure.make_assemble, pressure.make_divergence))
     yield from (make(real) for make in (pressure.make_gradient, impulses.make_wall_impulses))

@@ -107,6 +107,7 @@ class MixedSolver(Solver):
             ceiling=self.clock.ceiling, threads=threads, bodies=self.bodies,
             advance_bodies=weakly(self._advance_bodies), whole=model,
         )  # fmt: skip
+        self._liquid.pairs = self.pairs
         assert isinstance(self.clock, MixedClock)
         self.clock.follow(self._liquid, model.total_mass)
         self._after: Callable[[], None] | None = None

@@ -1,10 +1,14 @@
-"""Density and viscosity at each face if there are several liquids."""
+"""Density and viscosity at each face if there are several liquids; forces between liquids."""
+
+from collections.abc import Sequence
+from itertools import combinations
 
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
 from phy124.kernels.arguments import types
+from phy124.kernels.contacts import SUMS
 from phy124.mpm import Model
 
 VISCOSITY = 2
@@ -14,7 +18,8 @@ VISCOSITY = 2
 class Mixture:
     """Density and viscosity of the liquids in a run, relative to reference values."""
 
-    def __init__(self, model: Model) -> None:
+    def __init__(self, model: Model, runs: Sequence[slice] = (), workers: int = 1) -> None:
+        """`runs` are the slices of the liquids' particles."""
         self._model = model
         mass, volume = (np.asarray(a.numpy(), np.float64) for a in (model.mass, model.volume))
         viscosities = _viscosities(model)
@@ -33,8 +38,18 @@ class Mixture:
             if differ
         ]
         """Volume of each particle times relative density, and times relative viscosity; only for
-        properties that differ.
+        properties that differ. Then the volumes of each liquid, or of the second of two.
         """
+        self.pairs = list(combinations(range(len(runs)), 2))
+        self.sums = wp.zeros(
+            (workers, len(self.pairs), SUMS), dtype=wp.float64, device=model.device
+        )
+        """Impulse and moment of the first liquid on the second, for each pair [W,pairs,6]."""
+        numbers = np.arange(len(volume))
+        parts = runs[1:] if len(runs) <= 2 else runs
+        for run in parts:
+            part = np.where((numbers >= run.start) & (numbers < run.stop), volume, 0.0)
+            self.weights.append(model.array(part, model.real))
 
     def fit(self, count: int) -> None:
         """Allocate the arrays for a window with `count` cells."""
@@ -48,6 +63,17 @@ class Mixture:
         self.densities, self.viscosities = (
             next(mixed) if differ else self.uniform for differ in self.differ
         )
+        none = wp.zeros(0, dtype=kind, device=model.device)
+        self.fractions = [none, *mixed] if len(self.pairs) == 1 else list(mixed)
+        """Fractions of each liquid in each cell; the first of two liquids has no array."""
+
+    def take_impulses(self) -> NDArray[np.float64]:
+        """Return the sum of all workers' impulses and moments for each pair [pairs,6], and reset
+        the sums.
+        """
+        total = np.array(self.sums.numpy(), np.float64).sum(axis=0)
+        self.sums.zero_()
+        return total
 
 
 def _differ(values: NDArray) -> bool:

@@ -8,6 +8,7 @@ from typing import Any, cast
 
 import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
 from phy124.kernels.arguments import types
 from phy124.kernels.liquid import (
@@ -63,8 +64,11 @@ class Phases:
         missed: wp.array,
         free: FreeBodies,
         bodies: Bodies | None,
+        liquids: Sequence[slice],
     ) -> None:
-        """`missed` [W,1] is 1 for each worker with a particle outside the window."""
+        """`missed` [W,1] is 1 for each worker with a particle outside the window; `liquids` are the
+        slices of the liquids' particles.
+        """
         self._model, self._state, self._cells = model, state, cells
         self._projection, self._workers, self._missed = projection, workers, missed
         device = model.device
@@ -74,7 +78,7 @@ class Phases:
         self.extents = wp.zeros(shape, dtype=model.real, device=device)
         self.stray = wp.zeros(1, dtype=int, device=device)
         """Number of particles with values that are not finite."""
-        self._mixture = Mixture(model)
+        self._mixture = Mixture(model, liquids, len(workers))
         self.viscosity = Viscosity(model, cells, self._mixture)
         density = self._mixture.density
         self._solids = Solids(model, free, density, projection)
@@ -88,6 +92,14 @@ class Phases:
     def densities(self) -> wp.array | None:
         """Relative densities in the cells; None if all liquids have equal densities."""
         return self._mixture.densities if self._mixture.differ[0] else None
+
+    def take_impulses(self) -> Iterator[tuple[int, int, NDArray]]:
+        """Yield for each pair of liquids the impulse and moment [6] of the first on the second
+        since the last call.
+        """
+        if self._mixture.pairs:
+            rows = self._mixture.take_impulses()
+            yield from ((*pair, row) for pair, row in zip(self._mixture.pairs, rows, strict=True))
 
     def record(
         self,
@@ -206,7 +218,8 @@ class Phases:
     def _follow(self, worker: int) -> Iterator[list[Recorded]]:
         energies = self.energies
         pressed = energies.of_walls(AT_PRESSURE, worker)
-        yield [self._gradient(self._cells.pressure, worker), self._impulses(worker), *pressed]
+        met = self._meet(worker)
+        yield [self._gradient(self._cells.pressure, worker), self._impulses(worker), *met, *pressed]
         yield self._respond(worker, pulled=True)
         for turn in range(LAYERS):
             yield [self._spread(worker, turn, self._copy(self._cells.sums, 0))]
@@ -438,6 +451,17 @@ class Phases:
         inputs = [cells.window, self._copy(cells.fills, 0), self._copy(cells.sums, 0)]
         kernel = mixture.make_mix(self._model.real)
         return self._over_cells(worker, "density", kernel, inputs, [mixed])
+
+    def _meet(self, worker: int) -> list[Recorded]:
+        """Return a worker's launches that sum the impulses of the pressure between liquids."""
+        cells, liquids = self._cells, self._mixture
+        kernel, records = mixture.make_meeting(self._model.real), []
+        for index, pair in enumerate(liquids.pairs):
+            inputs = [liquids.density, cells.lattice, cells.window, cells.open, cells.liquid]
+            inputs += [cells.pressure, *(liquids.fractions[number] for number in pair)]
+            row = cast("wp.array", liquids.sums[worker, index])
+            records.append(self._over_cells(worker, "density", kernel, inputs, [row]))
+        return records
 
     def _refill(self, worker: int) -> Recorded:
         cells = self._cells

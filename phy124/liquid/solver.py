@@ -60,6 +60,7 @@ class LiquidSolver(Kept):
         "clock",
         "outliers",
         "repair",
+        "pairs",
         "free",
         "_bodies",
         "cells",
@@ -120,6 +121,10 @@ class LiquidSolver(Kept):
         """Bounds of the forces on particles in the bodies' substeps."""
         solids = len(free) + (len(bodies.numbers) if bodies else 0)
         self.projection = Projection(model, count, solids)
+        wet = sorted(self._whole.wet) or range(self._whole.bodies)
+        runs = [self._whole.particles(body) for body in wet]
+        self.wet, first = tuple(wet), runs[0].start
+        """Indices of the liquids among all bodies of the run."""
         self._phases = Phases(
             model,
             self.state,
@@ -129,6 +134,7 @@ class LiquidSolver(Kept):
             self._missed,
             self.free,
             bodies,
+            [slice(run.start - first, run.stop - first) for run in runs],
         )
         self.runner = Runner(self.workers)
         self.clock.diffuse(self._phases.viscosity.fastest)
@@ -228,6 +234,7 @@ class LiquidSolver(Kept):
     ) -> None:
         """Take steps of stable length; `after` follows each step."""
         self._fit()
+        list(self._phases.take_impulses())
         started, named = time.perf_counter(), self._seconds()
         begun = self.clock.time
         self._begin(until)
@@ -236,6 +243,8 @@ class LiquidSolver(Kept):
                 self._stable_step(until)
                 for follow in filter(None, (self.follower, after)):
                     run_timed(self.timings, FOLLOW, follow)
+        for a, b, row in self._phases.take_impulses():
+            self.pairs.add(self.wet[a], self.wet[b], *np.split(row, 2))
         filled = self.cells.hats.numpy()[self.cells.liquid.numpy() == 1]
         if len(filled):
             excess = float(np.maximum(filled - 1, 0).mean())
