@@ -25,6 +25,15 @@ def test_light_nodes_get_mass_from_heavy_ones():
     assert lattice.mass[lattice.mass > 0].min() > 0.0199 * DX**3
 
 
+def test_masses_of_huge_bodies_do_not_overflow():
+    solid = block((0.35, 0.325, 0.325), low=(0.075, 0.075, 0.0875), per=8)
+    x, volume = integration_points(solid, DX)
+    small = RestLattice.of(x, volume, volume, DX)
+    with np.errstate(over="raise", divide="raise", invalid="raise"):
+        huge = RestLattice.of(x, volume * 1e12, volume, DX)
+    assert np.allclose(huge.mass, small.mass * 1e12)
+
+
 def test_ties_leave_no_node_without_mass():
     rng = np.random.default_rng(47)
     fraction = (rng.random((7, 7, 7)) < 0.35).astype(np.float32)

@@ -95,7 +95,8 @@ def share_mass(
     light, weights = light[mass[light] > 0], weights[mass[light] > 0]
     wanted = least - mass[light]
     taken = abs(weights).T @ wanted
-    part = np.minimum(1.0, 0.5 * mass / np.maximum(taken, 1e-300))
+    part = np.ones(len(mass))
+    np.divide(0.5 * mass, taken, out=part, where=taken > 0.5 * mass)
     links = weights.tocoo()
     worst = np.ones(len(light))
     np.minimum.at(worst, links.row, part[links.col])
