@@ -250,6 +250,8 @@ def test_a_frame_that_fails_once_is_retried_from_its_start(monkeypatch):
     clip, usual = s.run(), plain.run()
     assert clip.report["complete"]
     assert clip.report["substep"]["retried"] == [2, 3, 4]
+    assert clip.report["limiters"].get("retry", 0) > 0
+    assert "user" not in clip.report["limiters"], "time.substep is not set"
     assert s.solver.clock.cfl == CFL
     assert np.abs(clip.means - usual.means).max() < 1e-4
 

@@ -157,6 +157,7 @@ SLOW = {
     "gradient": ("push",),
     "viscous": ("friction",),
     "user": ("ceiling",),
+    "retry": ("push",),
     "wave": (),
 }
 """Keys of the `REMEDIES` that lengthen the substep, by limit."""

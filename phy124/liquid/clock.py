@@ -72,7 +72,7 @@ class LiquidClock(Clock):
         limits = {
             "speed": 2 * far / reach if reach > 0 else math.inf,
             "wave": WAVES * math.sqrt(self.dx / a) if a > 0 else math.inf,
-            "user": self.ceiling,
+            self.ceiling_name: self.ceiling,
             "viscous": self.viscous,
         }
         limiter = min(limits, key=limits.__getitem__)

@@ -26,6 +26,7 @@ LIMITS = {
     "gradient": "its rate of strain",
     "viscous": "its viscosity or damping",
     "user": "time.substep",
+    "retry": "half the substep of a first attempt, which failed",
     "wave": "the waves on its surface",
 }
 """Phrase for each limit of the substep."""

@@ -37,6 +37,8 @@ class Clock(Kept):
         self.dx, self.viscous = model.dx, model.viscous
         self.cfl, self.ceiling = model.cfl, ceiling
         """Substep length as a fraction of the elastic limit, and the largest allowed length [s]."""
+        self.ceiling_name = "user"
+        """Name of the limit `ceiling`: user, or retry while a frame is repeated."""
         self.measure_every = measure_every
         """Number of substeps between two measurements of the particles."""
         self.time, self.substeps, self.last_dt = 0.0, 0, 0.0
@@ -80,10 +82,19 @@ class Clock(Kept):
 
     def stable(self) -> Substep:
         """Return the longest stable substep in the current state."""
-        inputs = (self.extremes, self.cfl, self.ceiling)
+        inputs = (self.extremes, self.cfl, self.ceiling, self.ceiling_name)
         if self._limits is None or self._limits[0] != inputs:
-            limits = {"cfl": self.cfl, "ceiling": self.ceiling, "viscous": self.viscous}
-            self._limits = inputs, stable_substep(self.extremes, self.dx, **limits)
+            self._limits = (
+                inputs,
+                stable_substep(
+                    self.extremes,
+                    self.dx,
+                    cfl=self.cfl,
+                    ceiling=self.ceiling,
+                    viscous=self.viscous,
+                    ceiling_name=self.ceiling_name,
+                ),
+            )
         return self._limits[1]
 
     def lag(self, power: float, momentum: NDArray) -> float:

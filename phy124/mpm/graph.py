@@ -24,8 +24,10 @@ from phy124.mpm.workers import Worker, run_timed
 
 STAGE = "graph"
 """Name under which reports list the time of the graph."""
-LIMITERS = ("elastic", "speed", "gradient", "viscous", "user")
-"""Names of the limits of a substep's length, in the order of phy124/kernels/timestep.py."""
+LIMITERS = ("elastic", "speed", "gradient", "viscous")
+"""Names of the limits of a substep's length, in the order of phy124/kernels/timestep.py. The last
+limit there is the clock's ceiling.
+"""
 STRAIN = 1.0
 """Sum of |C| dt over substeps after which the host continues, so that it can repair particles."""
 MOST = 400
@@ -45,7 +47,7 @@ class Graph:
         self._worker, self._stray, device = worker, stray, model.device
         self._limits = Mirrored(timestep.Limits, 1, device)
         self._progress = Mirrored(timestep.Progress, 1, device)
-        self._limiters = Mirrored(wp.float64, 2 * len(LIMITERS), device)
+        self._limiters = Mirrored(wp.float64, 2 * (len(LIMITERS) + 1), device)
         self._on, self._look, self._block = (
             wp.zeros(1, dtype=int, device=device) for _ in range(3)
         )
@@ -159,7 +161,8 @@ class Graph:
         clock.extremes = Extremes(*(float(state[name]) for name in Extremes._fields))
         fastest, steepest = float(state["fastest"]), float(state["steepest"])
         clock.recent = clock.extremes._replace(speed=fastest, gradient=steepest)
-        for name, (count, needed) in zip(LIMITERS, limiters.reshape(2, -1).T.tolist(), strict=True):
+        names = [*LIMITERS, clock.ceiling_name]
+        for name, (count, needed) in zip(names, limiters.reshape(2, -1).T.tolist(), strict=True):
             if count:
                 clock.count(name, int(count), needed=needed)
         return int(state["reason"])

@@ -80,7 +80,7 @@ class Substep(NamedTuple):
     dt: float
     """Length of the substep [s]."""
     limiter: str
-    """Name of the limit: elastic, speed, gradient, viscous or user."""
+    """Name of the limit: elastic, speed, gradient, viscous, user or retry."""
 
 
 def stable_substep(
@@ -90,6 +90,7 @@ def stable_substep(
     cfl: float = CFL,
     ceiling: float = math.inf,
     viscous: float = math.inf,
+    ceiling_name: str = "user",
 ) -> Substep:
     """Return the longest stable substep, and the limit that determines it.
 
@@ -97,15 +98,16 @@ def stable_substep(
         extremes: The largest speed, gradient and stiffness of the particles.
         dx: Grid spacing [m].
         cfl: Fraction of the elastic limit to use.
-        ceiling: Longest substep that the user allows [s].
+        ceiling: Longest substep allowed [s].
         viscous: Longest substep that viscosity allows [s].
+        ceiling_name: Name of the limit `ceiling`.
     """
     limits = {
         "elastic": _divide(cfl * dx, math.sqrt(extremes.stiffness)),
         "speed": _divide(CELLS_PER_STEP * dx, extremes.speed),
         "gradient": _divide(STRAIN_PER_STEP, extremes.gradient),
         "viscous": viscous,
-        "user": ceiling,
+        ceiling_name: ceiling,
     }
     limiter = min(limits, key=limits.__getitem__)
     return Substep(limits[limiter], limiter)

@@ -349,8 +349,9 @@ class Report(TypedDict):
     threads: int
     """Number of CPU threads. Runs with the same number of threads are equal bit for bit."""
     limiters: dict[str, int]
-    """For each limit (elastic, speed, gradient, viscous, user), the number of substeps whose length
-    it determined.
+    """For each limit (elastic, speed, gradient, viscous, user, retry), the number of substeps whose
+    length it determined. The limit `user` is time.substep, and `retry` is half the substep of a
+    first attempt that failed.
     """
     substep: Substep
     """Length of the substeps."""

@@ -382,11 +382,13 @@ class Simulation:
         clock = self.solver.clock
         usual = clock.cfl, clock.ceiling, clock.measure_every
         clock.cfl, clock.ceiling = usual[0] / 2, min(usual[1], self._failed_dt) / 2
+        clock.ceiling_name = "retry"
         clock.measure_every = min(usual[2], MEASURE_EVERY)
         try:
             yield
         finally:
             clock.cfl, clock.ceiling, clock.measure_every = usual
+            clock.ceiling_name = "user"
 
     def _try(self, index: int, until: float, *, closely: bool = False) -> Violation | None:
         """Attempt a frame; if it is not valid, reset the state and return the error."""
