@@ -47,6 +47,10 @@ class Material(Section):
     grains: ClassVar[bool] = False
     """Whether the interior must be drawn, because the material separates into grains or drops."""
 
+    disperses: ClassVar[bool] = False
+    """Whether the volume of a particle may grow without limit, because grains or drops move apart.
+    """
+
     dents: ClassVar[bool] = False
     """Whether the material is a solid that keeps dents. The motion of such a solid is smoothed
     before Gaussians follow it (phy124/motion/smoothing.py). In videos, the light on a material

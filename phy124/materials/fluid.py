@@ -31,6 +31,7 @@ class Fluid(Material):
     law: Literal["fluid"] = "fluid"
     max_stretch: ClassVar[float | None] = 1.5
     rounds: ClassVar[bool] = True
+    disperses: ClassVar[bool] = True
     grains: ClassVar[bool] = True
     shading: ClassVar[float] = (
         0.0  # Otherwise, the picture's light and shade would flow with the liquid like a dye.

@@ -39,6 +39,7 @@ class Sand(Logarithmic):
     law: Literal["sand"] = "sand"
     max_stretch: ClassVar[float | None] = 1.0
     rounds: ClassVar[bool] = True
+    disperses: ClassVar[bool] = True
     grains: ClassVar[bool] = True
     scatters: ClassVar[bool] = True
     shade: ClassVar[float] = 0.2
@@ -88,6 +89,7 @@ class Snow(Elastic):
     law: Literal["snow"] = "snow"
     max_stretch: ClassVar[float | None] = 1.1
     rounds: ClassVar[bool] = True
+    disperses: ClassVar[bool] = True
     grains: ClassVar[bool] = True
     crumbles: ClassVar[bool] = True
     shade: ClassVar[float] = 0.04

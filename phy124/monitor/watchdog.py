@@ -239,7 +239,7 @@ class Watchdog(Observer):
         for material in self.model.materials:
             notes += material.notes_at(self._fastest)
         notes += self._notes_of_laws()
-        if self.max_J > SWOLLEN and not any(m.rounds for m in self.model.materials):
+        if self.max_J > SWOLLEN and not any(m.disperses for m in self.model.materials):
             notes.append(
                 f"Some of the material swelled to {self.max_J:.2g} times its volume; a real "
                 "solid would have broken. The motion is too fast for the stiffness; a "
