@@ -212,7 +212,7 @@ def test_thin_object_inside_another_is_refused(sides):
 
 
 def test_adjacent_object_does_not_stand_on_the_other():
-    with pytest.raises(InputError, match=r"copy.on = object: it is not above the object"):
+    with pytest.raises(InputError, match=r"objects.0.on = object: it is not above the object"):
         Simulation(
             prepare(ball(400), scene(objects=[{"name": "copy", "on": "object", "place": [0, 3]}]))
         )
