@@ -158,9 +158,7 @@ def _objects(report: dict[str, Any]) -> str:
         how = f", cut out by {title_of(cutout['method'])}" if cutout else ""
         rows.append((name, f"{body['gaussians']:,} Gaussians, {body['mass']:.3g} kg{how}"))
     for pair, met in (report.get("pairs") or {}).items():
-        force = met["largest_force"]
-        said = "not computed" if force is None else f"at most {force:.3g} N"
-        rows.append((pair.replace("_", " "), said))
+        rows.append((pair.replace("_", " "), f"at most {met['largest_force']:.3g} N"))
     return _section("Objects", _table(rows)) if rows else ""
 
 

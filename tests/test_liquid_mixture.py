@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from demo.report import _objects
 from phy124.accuracy.expectation import features
 from phy124.boundaries import Container, HalfSpace
 from phy124.errors import InputError
@@ -11,7 +10,6 @@ from phy124.forces import Gravity
 from phy124.generators.shapes import ball
 from phy124.liquid.mixed import MixedSolver
 from phy124.liquid.solver import LiquidSolver
-from phy124.live.places import list_pairs
 from phy124.materials import Fluid, NeoHookean
 from phy124.mpm import Model, State
 from phy124.runtime.context import RunContext
@@ -203,19 +201,3 @@ def test_refusals_of_projection_name_field_and_value(changes, said):
     scene = Scene.named("water").replaced({"accuracy": accuracy, "time.frames": 1, **changes})
     with pytest.raises(InputError, match=said):
         Simulation(prepare(ball(400), scene, RunContext(threads=1)))
-
-
-def test_the_force_between_two_liquids_is_said_to_be_unknown():
-    """The solver computes a single pressure for both, so a force of 0 would be wrong."""
-    stone = {"name": "stone", "shape": "sphere", "size": 0.3, "motion": {"kind": "free"}}
-    scene = Scene.named("oil").replaced({"accuracy": {"cells": 8}, "time.frames": 2})
-    scene = scene.replaced({"objects": [*scene.data()["objects"], {**stone, "lift": 2.0}]})
-    run = Simulation(prepare(ball(400), scene, RunContext(threads=1)))
-    clip = run.run()
-    pairs = clip.report["pairs"]
-    assert pairs["object_on_water"]["largest_force"] is None
-    assert "projection" in pairs["object_on_water"]["why"]
-    assert pairs["object_on_stone"]["largest_force"] is not None
-    assert "object_on_water" not in (*clip.walls, *run.frames[-1].wrenches)
-    assert "object_on_water" not in list_pairs(run)
-    assert "<td>not computed</td>" in _objects(clip.report)

@@ -12,7 +12,7 @@ from phy124.errors import InputError
 from phy124.gaussians import quaternions
 from phy124.io.axes import euler
 from phy124.monitor.watchdog import Watchdog
-from phy124.monitor.wrenches import pair_names, pairs_of_liquids
+from phy124.monitor.wrenches import pair_names
 from phy124.motion.scenery import INSTANT
 from phy124.scene import Scene
 from phy124.schema.region import Vector
@@ -224,9 +224,7 @@ def list_pairs(run: Simulation) -> dict[str, str]:
     solver = run.solver
     acted_on = [solver.model.names[pair.second] for pair in solver.pairs.all]
     acted_on += [name.rpartition("_on_")[2] for name in solver.free.names]
-    pairs = dict(zip(pair_names(solver), acted_on, strict=True))
-    unknown = set(pairs_of_liquids(run.scene))
-    return {name: object_ for name, object_ in pairs.items() if name not in unknown}
+    return dict(zip(pair_names(run.solver), acted_on, strict=True))
 
 
 def _objects(run: Simulation) -> NDArray[np.int32]:

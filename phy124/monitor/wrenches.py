@@ -24,7 +24,6 @@ from phy124.monitor.observer import Effect, Observed, Observer, Subject
 from phy124.mpm import Attachable, Grid, Model, Stage, State
 from phy124.mpm.tracks import Tracks
 from phy124.scene import Scene
-from phy124.scene.liquids import is_liquid
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -34,13 +33,6 @@ if TYPE_CHECKING:
 STAGE = "wrenches"
 LIQUID = -1
 """Key of the impulses of a projected liquid; other keys are indices of workers."""
-UNKNOWN = {
-    "largest_force": None,
-    "at": None,
-    "last": None,
-    "why": "pressure projection solves all liquids together, without the forces between them",
-}
-"""Entry of the report for a pair whose force is not computed."""
 Vector3 = NDArray[np.float64]
 
 
@@ -50,17 +42,8 @@ class Wrenches(Observer):
     absent: ClassVar[dict[str, Any]] = {"walls": None}
     in_substeps = True
 
-    def __init__(
-        self,
-        *,
-        of_walls: bool = True,
-        of_pairs: bool = False,
-        fps: float = 1.0,
-        unknown: frozenset[str] = frozenset(),
-    ) -> None:
-        """`unknown` are the names of pairs whose forces the solver does not compute."""
+    def __init__(self, *, of_walls: bool = True, of_pairs: bool = False, fps: float = 1.0) -> None:
         self._of_walls, self._of_pairs, self._fps = of_walls, of_pairs, fps
-        self._unknown = unknown
         self._sums: dict[str, dict[int, wp.array]] = {}
         """Impulses on each wall, by name and worker."""
 
@@ -86,12 +69,7 @@ class Wrenches(Observer):
         """Return the observer of a run."""
         scene = setup.scene
         pairs = bool(scene.objects)
-        return cls(
-            of_walls=scene.keeps_wrenches,
-            of_pairs=pairs,
-            fps=scene.time.fps,
-            unknown=frozenset(pairs_of_liquids(scene)),
-        )
+        return cls(of_walls=scene.keeps_wrenches, of_pairs=pairs, fps=scene.time.fps)
 
     @property
     def walls(self) -> tuple[str, ...]:
@@ -101,7 +79,7 @@ class Wrenches(Observer):
     @property
     def names(self) -> tuple[str, ...]:
         """Names of all wrenches in a frame."""
-        return (*self.walls, *self._known_pairs())
+        return (*self.walls, *pair_names(self._solver))
 
     def wrap_walls(
         self, walls: Sequence[Boundary], inner: Sequence[Attachable]
@@ -151,20 +129,14 @@ class Wrenches(Observer):
         wrenches = {wall: self.of_wall(wall, centre, fps) for wall in self.walls}
         between = [*solver.pairs.wrenches(1 / fps).values(), *solver.free.wrenches(1 / fps)]
         for name, (force, torque) in zip(pair_names(solver), between, strict=True):
-            if name not in self._unknown:
-                wrenches[name] = Wrench(force, torque - np.cross(centre, force))
+            wrenches[name] = Wrench(force, torque - np.cross(centre, force))
         return wrenches
-
-    def _known_pairs(self) -> list[str]:
-        return [name for name in pair_names(self._solver) if name not in self._unknown]
 
     def report(self, frames: Sequence[Frame]) -> dict[str, Any]:
         """Return the sections about wrenches on walls and between objects."""
         report = {"walls": summary(frames, self.walls) if self._of_walls else None}
         if self._of_pairs:
-            pairs = summary(frames, self._known_pairs())
-            unknown = dict.fromkeys(sorted(self._unknown), UNKNOWN)
-            report["pairs"] = pairs if pairs is None else {**pairs, **unknown}
+            report["pairs"] = summary(frames, pair_names(self._solver))
         return report
 
     def snapshot(self) -> dict[str, Any]:
@@ -246,15 +218,6 @@ def pair_names(solver: AnySolver) -> tuple[str, ...]:
     names = solver.model.names
     pairs = (f"{names[p.first]}_on_{names[p.second]}" for p in solver.pairs.all)
     return (*pairs, *solver.free.names)
-
-
-def pairs_of_liquids(scene: Scene) -> Iterator[str]:
-    """Yield the name of each pair of liquids that pressure projection solves together."""
-    if scene.projects:
-        objects = zip(scene.names, scene.object_materials, strict=True)
-        liquids = [name for name, materials in objects if materials and is_liquid(materials)]
-        for first, second in itertools.combinations(liquids, 2):
-            yield f"{first}_on_{second}"
 
 
 def wall_names(walls: Sequence[Boundary]) -> list[str]:

@@ -301,9 +301,8 @@ class Report(TypedDict):
     objects: NotRequired[dict[str, Any]]
     """Counts, mass [kg] and position [m] of each object, and poses of free rigid objects."""
     pairs: NotRequired[dict[str, Any]]
-    """For each pair of objects: the largest force [N] and its time, and the last force and torque.
-    These values are null if the solver does not compute the force; `why` is then the reason.
-    """
+    """For each pair of objects: the largest force [N] and its time, and the last force and
+    torque."""
     sources: NotRequired[dict[str, Any]]
     """For each further object from a picture or file: source, cut-out, generator and cleaning."""
     shapes: dict[str, Any]

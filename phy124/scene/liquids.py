@@ -78,7 +78,7 @@ def _obstacles(scene: Any, *, mixes: bool) -> Iterator[tuple[str, object, str]]:
 
 
 def _of_objects(scene: Any) -> Iterator[tuple[str, object, str]]:
-    wet = [is_liquid(materials) for materials in scene.object_materials]
+    wet = [_is_liquid(materials) for materials in scene.object_materials]
     for index, (body, holds_liquid) in enumerate(zip(scene.every_object, wet, strict=True)):
         if body.held and holds_liquid:
             field = f"objects.{index - 1}.held" if index else "object.held"
@@ -92,7 +92,7 @@ def _of_objects(scene: Any) -> Iterator[tuple[str, object, str]]:
         yield "objects", "the order", "other objects listed between two liquids"
 
 
-def is_liquid(materials: Sequence[Any]) -> bool | None:
+def _is_liquid(materials: Sequence[Any]) -> bool | None:
     """Return whether an object is a liquid; None if only some parts are."""
     liquid = {section.law == "fluid" for section in materials}
     return None if len(liquid) > 1 else liquid == {True}
