@@ -40,7 +40,7 @@ SH_COEFFICIENTS = (1, 4, 9, 16)
 
 
 BLOCK = 1 << 15
-"""Number of rows of an array that are processed at a time, and fit into the cache."""
+"""Number of rows of an array that are processed at a time; these rows fit into the cache."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,8 +250,8 @@ class Particles:
     or None.
     """
     copies: NDArray[np.int8] | None = None
-    """Which copy of its 27 nodes each cell of a lattice uses [C,27]; None: no node has copies
-    (phy124/particles/pieces.py).
+    """For each cell of a lattice, the copies of its 27 nodes that the cell uses [C,27]; None: no
+    node has copies (phy124/particles/pieces.py).
     """
 
     def __len__(self) -> int:

@@ -49,8 +49,8 @@ CELLS = (8, 10, 12, 14, 16, 20, 24, 28, 32, 40, 48, 56, 64, 80, 96, 112, 128)
 A run on the finest grids takes minutes on two cores, and less than 2 GB of memory.
 """
 GUESSED_ORDER = 1.0
-"""Order of convergence that is assumed without convergence; with free surfaces, the error is of
-first order.
+"""Order of convergence that is assumed if the results do not converge; with free surfaces, the
+error is of first order.
 """
 START = 16
 """Cells across the object at the start of the search for a maximum time."""
@@ -193,7 +193,9 @@ def _meet_error(goal: Goal, runs: _Runs) -> Reached:
 
 
 def _refine(goal: Goal, runs: _Runs, result: Convergence) -> str:
-    """Run the scene on the next finer grid; return the reason why there is none, or ""."""
+    """Run the scene on a finer grid and return ""; if no finer grid is possible, return the
+    reason.
+    """
     if not result.errors and len(runs.done) >= len(FIRST) + ATTEMPTS:
         return result.why_not
     finest, (error, order) = max(runs.done), _guess(goal, runs, result)
@@ -210,7 +212,9 @@ def _refine(goal: Goal, runs: _Runs, result: Convergence) -> str:
 
 
 def _guess(goal: Goal, runs: _Runs, result: Convergence) -> tuple[float, float]:
-    """Guess the error on the finest grid and the order of convergence, without torn grids."""
+    """Guess the error on the finest grid and the order of convergence, ignoring grids on which the
+    material may have torn.
+    """
     if result.error is not None:
         order = result.order or GUESSED_ORDER
         return result.error, min(max(order, TRUSTED[0]), TRUSTED[1])

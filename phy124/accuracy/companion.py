@@ -31,7 +31,9 @@ from phy124.simulation.setup import Setup
 AFFORDABLE = 0.2
 """Largest predicted time of the companion run, relative to the dynamics of the original run."""
 ON_LATTICE = 1.5
-"""Factor on `AFFORDABLE` for lattices, whose dynamics take at most half of the run's time."""
+"""Factor on `AFFORDABLE` for lattices. The dynamics of a lattice take at most half of the run's
+time.
+"""
 SAMPLE = 2000
 """Number of Gaussians that are compared."""
 MPM, LATTICE = Rates(particle=7e-8), Rates(substep=2.6e-4, particle=3.6e-8)
@@ -68,9 +70,9 @@ class Factors(NamedTuple):
     """Ratios of a run's error to the distance from the companion run."""
 
     about: float
-    """Median over the measured objects and scenes."""
+    """Median of the ratio over the measured objects and scenes."""
     at_most: float
-    """95th percentile over the measured objects and scenes."""
+    """95th percentile of the ratio over the measured objects and scenes."""
 
 
 RATIO = 0.5
@@ -114,7 +116,9 @@ class OwnError(NamedTuple):
     at_most: float | None = None
     """Upper bound of the RMS distance, relative to the object's size."""
     until: float | None = None
-    """Time after which the motion depends on the grid [s]; the error holds only until then."""
+    """Time after which the motion depends on the grid [s]; later frames are not part of the
+    error.
+    """
     cells: int | None = None
     """Cells across the object in the companion run."""
     cost: float | None = None
@@ -135,7 +139,7 @@ def with_own_error(
     Args:
         run: The run.
         clip: The clip of the run.
-        omit: Reason to omit the companion run; empty: the run is made if it takes little time.
+        omit: Reason to omit the companion run; if empty, a cheap companion run is made.
         goal: The entry `goal` of the report, if `--max-error` already measured the error.
     """
     omit = omit or why_broken(clip.report).rstrip(".")
@@ -228,7 +232,7 @@ def count_particles(setup: Setup) -> int:
 
 
 def factors_of(scene: Scene, cells: int) -> Factors:
-    """Return the factors for a scene and the cells across the object in its companion run."""
+    """Return the factors for a scene whose companion run has this number of cells."""
     keys = [
         section.law if section.law in FACTORS else motion_of(scene) for section in scene.materials
     ]

@@ -101,10 +101,10 @@ def richardson(spacings: Sequence[float], apart: NDArray, *, agree: float = AGRE
 def longest_convergence(
     spacings: Sequence[float], clips: Sequence[NDArray], size: float = 1.0
 ) -> tuple[Convergence, int]:
-    """Estimate the errors from the longest initial part of clips that converges.
+    """Estimate the errors from the longest initial part of the clips in which the results converge.
 
-    Later, the motions on two grids may differ, for example if the object topples on only one of
-    them.
+    In later frames, the motions on two grids may differ, for example if the object topples on only
+    one of the grids.
 
     Returns:
         The convergence, and the number of its frames; without convergence, the result for all

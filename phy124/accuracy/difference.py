@@ -34,7 +34,7 @@ class Difference:
 
 
 def difference(clip: Clip, reference: Clip, view: View, *, device: str = "cpu") -> Difference:
-    """Compare two clips of one object with the same times, ignoring grains.
+    """Compare two clips that show one object at the same times; grains are ignored.
 
     Args:
         clip: The first clip.

@@ -87,7 +87,7 @@ def groups(scene: Scene) -> list[str]:
 
 
 def name_features(scene: Scene) -> list[str]:
-    """Return the features that need measurements, with the solver."""
+    """Return the scene's special features; on lattices, the names also mention the solver."""
     names = features(scene)
     return [f"{name}{ON_LATTICE}" for name in names] if scene.on_lattice else names
 

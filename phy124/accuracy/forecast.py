@@ -40,7 +40,7 @@ SPEED_UP = 0.72
 GROWTH = 2.5
 """Exponent of the cells in the time of a companion run."""
 UNSURE = 0.1
-"""Largest fraction of substeps limited by speed in a reliable forecast."""
+"""A forecast is reliable if speed limits at most this fraction of the substeps."""
 GUESS = 1.14
 """Factor on the range of an unreliable forecast."""
 ON_DEVICE = ("simulate", "deform", "render")
@@ -89,7 +89,9 @@ class Forecast:
         return replace(self, stages={name: seconds, **self.stages}, measured=(*self.measured, name))
 
     def with_predicted(self, name: str, seconds: float, caveat: str) -> Forecast:
-        """Return the forecast with another first stage, whose time [s] is unreliable."""
+        """Return the forecast with a new first stage; `caveat` says why its time [s] is
+        unreliable.
+        """
         caveats = " ".join(filter(None, (self.caveat, caveat)))
         return replace(self, stages={name: seconds, **self.stages}, caveat=caveats)
 

@@ -31,7 +31,7 @@ class Goal:
 
     kind: Kind
     value: float
-    """Largest value, in pixels of the first view, fractions of the size, m or s."""
+    """Maximum, in the unit of `kind`: pixels of the first view, fractions of the size, m, or s."""
     text: str
 
     @classmethod
@@ -57,7 +57,7 @@ class Goal:
 
     @classmethod
     def time(cls, seconds: float) -> Goal:
-        """Return a limit of the total time [s].
+        """Return the goal that a run takes at most `seconds` in total.
 
         Raises:
             InputError: The time is not a positive number.
@@ -90,7 +90,7 @@ def describe_goal(goal: Mapping[str, Any], seconds: float) -> str:
 def explain_time(
     goal: Goal, scene: Scene, cells: int, forecast: Forecast, ready: float
 ) -> InputError:
-    """Return the error for a time that is too short even for the coarsest grid.
+    """Return an exception, which says that the time is too short even for the coarsest grid.
 
     Args:
         goal: The maximum time.

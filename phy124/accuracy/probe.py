@@ -63,7 +63,7 @@ LONG_STEP = 0.1
 long.
 """
 NODE_STAGES = ("clear", "grid")
-"""Stages whose time is proportional to the number of nodes, as is the time of boundaries."""
+"""Stages whose time is proportional to the number of nodes, in addition to the boundaries."""
 
 
 @dataclass(frozen=True)
@@ -292,7 +292,9 @@ class Pilot:
     """Duration with preparation [s]."""
 
     def finer(self, dx: float) -> float:
-        """Return how many times finer a grid with cells of side `dx` [m] is."""
+        """Return how many times finer than the pilot's grid a grid with cells of side `dx` [m]
+        is.
+        """
         return self.dx / dx
 
     def substeps(self, cells: int, rest: float | None = None) -> tuple[int, dict[str, float]]:
@@ -351,7 +353,7 @@ def run_pilot(
         scene: The scene.
         context: Only the device is used.
         crop: Position of the object in the picture with the masks of parts.
-        placed: The object in its position, from a setup of the same Gaussians.
+        placed: The object in its position, if a setup has already placed the same Gaussians.
     """
     context = RunContext(device=(context or RunContext()).device)
     coarse, start = coarsen(scene), time.perf_counter()

@@ -1,8 +1,8 @@
 """States the error of a scene or of a run (the "promise"), and formats all messages about errors.
 
 Before a run, the error is predicted (phy124/accuracy/expectation.py). After a run, the error was
-estimated (phy124/accuracy/companion.py) or measured for a goal. The bound of an error that was
-measured for a scene held for 95 % of the objects and scenes with which it was compared.
+estimated (phy124/accuracy/companion.py) or measured for a goal. If an error was measured for a
+goal, its bound was correct for 95 % of the objects and scenes in a test.
 """
 
 import math
@@ -18,7 +18,7 @@ from phy124.scene import Scene
 UNMEASURED = "error not measured"
 STUDY = "phy124 accuracy SCENE --image PICTURE"
 SPREAD = 3.0
-"""Bound on the ratio of an error to its estimate from several grids, exceeded for 5 % of the
+"""Ratio of an error to its estimate from several grids. The ratio was larger for only 5 % of the
 measured objects and scenes (docs/lab/accuracy.md#goals).
 """
 SMALLEST = 1e-4
@@ -157,7 +157,7 @@ def promise_measured(
         error: The estimated error, relative to the object's size.
         cells: Cells across the object on the scene's grid.
         grids: Cells across the object on the measured grids, from coarse to fine.
-        until: Time up to which the error holds [s]; None: the whole motion.
+        until: The error was estimated for the motion up to this time [s]; None: the whole motion.
     """
     if cells > grids[-1]:
         origin = f"Extrapolated to D/{cells} from {_join_names([f'D/{n}' for n in grids])}."

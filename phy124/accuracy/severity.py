@@ -14,7 +14,9 @@ from phy124.scene.energies import duration, energy
 COMPARED = {"law", "density", "E", "bulk_modulus", "nu", "damping", "viscosity", "yield_stress"}
 """Fields of a material that `violence`, `yielding`, `damping` or `poisson` uses."""
 MEASURED = {"repose_angle": (30.0, 36.0), "hardening": (3.0, 10.0), "extension": (0.004, 0.0075)}
-"""Ranges of further fields in which errors are the same as with the default."""
+"""Further fields of a material, with ranges. If a value is in its range, the errors are the same as
+with the default value.
+"""
 LOOKS = {"tint", "visibility"}
 
 

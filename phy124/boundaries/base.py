@@ -44,7 +44,9 @@ Recorder = Callable[[Grid], "wp.Launch | None"]
 
 
 class Rest(Protocol):
-    """Positions of the objects at rest, from which some boundaries determine their shape."""
+    """Positions of the objects at rest. Some boundaries compute their own shape from these
+    positions.
+    """
 
     @property
     def rest(self) -> NDArray[np.float64]:
@@ -62,7 +64,7 @@ class Rest(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class AtRest:
-    """Positions of an object at rest, for use without a model."""
+    """Positions of an object at rest, for code that has no `Model`."""
 
     rest: NDArray[np.float64]
     """Positions at rest [P,3], m."""
@@ -144,7 +146,7 @@ class Boundary(Section):
         return make(self.outline(), self.response(), real)
 
     def gentler(self) -> dict[str, Any]:
-        """Return new values of the boundary's fields that make its action half as strong."""
+        """Return new values of fields, with which the boundary acts half as strongly."""
         return {}
 
     def parts(self) -> list[Any]:
@@ -227,7 +229,8 @@ class Boundary(Section):
             )
 
     def reach(self, dx: float) -> float | None:
-        """Return the signed distance from the wall [m] below which nodes respond to the wall.
+        """Return a signed distance from the wall [m]; nodes with a smaller distance respond to the
+        wall.
 
         The result is None if contact is enforced at the exact surface.
         """
@@ -334,7 +337,8 @@ def lightest(model: Model) -> float:
 
 
 def contact_mass_fraction(model: Model) -> float:
-    """Return the mass at a wall above which a body touches the wall, relative to the expected mass.
+    """Return a mass at a wall, relative to the expected mass; with more mass, a body touches the
+    wall.
 
     The fraction is 0.9 for solids, so contact begins 0.07 cells before the surfaces meet. With a
     smaller fraction, solids are too stiff at first contact. With a larger fraction, columns with
@@ -345,12 +349,13 @@ def contact_mass_fraction(model: Model) -> float:
 
 
 def seep_distance(model: Model) -> float:
-    """Return the signed distance from a wall [m] below which grid nodes respond individually.
+    """Return a signed distance from a wall [m]; nodes with a smaller distance respond individually.
 
-    The distance applies in columns of nodes that the wall does not push. The distance is finite for
-    material that separates into drops or grains. With an infinite distance, drops and grains behind
-    a wall would stay there while the other material moves away. For cohesive material the distance
-    is minus infinity, because individual nodes would stop the material before it touches the wall.
+    The distance is used for columns of nodes that the wall does not push. The distance is finite
+    for material that separates into drops or grains. With an infinite distance, drops and grains
+    behind a wall would stay there while the other material moves away. For cohesive material the
+    distance is minus infinity, because individual nodes would stop the material before it touches
+    the wall.
     """
     apart = any(section.rounds for section in model.materials)
     return REACH * model.dx if apart else -math.inf

@@ -98,7 +98,9 @@ class Foot(Clamp):
     """Fixed fraction of the object's height, from its lowest point."""
 
     def geometry(self, model: Rest) -> tuple[Vector, Vector, Vector]:
-        """Return a point [m] on the plane below which material is fixed, and the plane's normal."""
+        """Return a point [m] on a plane, and the plane's normal; material below the plane is
+        fixed.
+        """
         z = model.rest_of(self.object)[:, 2]
         top = float(z.min() + self.fraction * np.ptp(z))
         return (0.0, 0.0, top), (0.0, 0.0, 1.0), (0.0, 0.0, 0.0)

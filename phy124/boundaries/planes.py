@@ -164,7 +164,8 @@ class Container(Movable):
 
 
 def there_and_back(to: Vector, start: float, go: float, stay: float, back: float) -> Track:
-    """Return the displacement of a smooth motion to `to`, a rest, and a smooth motion back.
+    """Return the displacement of a wall that moves smoothly to `to`, rests, and moves smoothly
+    back.
 
     Args:
         to: Displacement during the rest [m].

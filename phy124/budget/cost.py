@@ -61,14 +61,16 @@ BYTES_PER_GAUSSIAN = 40
 AT_REST = 450
 """Memory per Gaussian while it is bound, deformed and drawn [bytes] (docs/lab/sizes.md)."""
 HELD = 256e6
-"""Largest size of frames in memory [bytes]; larger runs compute frames again when read."""
+"""Largest total size of the frames that a run keeps in memory [bytes]. If the frames are larger, a
+frame is computed again from the motion whenever it is read.
+"""
 BYTES_PER_SHAPE = 250
 """Memory per Gaussian on the device that deforms the Gaussians [bytes]."""
 
 
 @dataclass(frozen=True)
 class Rates:
-    """Time of a machine for one unit of each kind of work."""
+    """Time that a machine takes for one unit of each kind of work."""
 
     generate: float = 3.0
     substep: float = 3e-5
@@ -98,7 +100,7 @@ class Rates:
         }
 
     def minimum(self, other: Rates) -> Rates:
-        """Return the smaller value of each rate."""
+        """Return rates; each rate is the smaller value of `self` and `other`."""
         return Rates(**{name: min(value, vars(other)[name]) for name, value in vars(self).items()})
 
 

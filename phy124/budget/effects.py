@@ -74,7 +74,8 @@ class Effects:
     ) -> dict[str, Any]:
         """Return plain data for the report.
 
-        With counts of a run, the data contain the time [s] saved by each omitted effect.
+        If the counts of a run are given, the data contain the time [s] that each omitted effect
+        saves.
 
         Args:
             particles: Number of particles.
@@ -132,8 +133,9 @@ def _of_liquid(scene: Scene) -> Iterator[Effect]:
 def _of_materials(scene: Scene, materials: Sequence[AnyMaterial]) -> Iterator[Effect]:
     """Yield the effects of the materials.
 
-    Each cost is the difference between the times of two kernels: with and without viscosity; G2P
-    for metal and for an elastic law; one law per particle and a single law.
+    Each cost is the difference between the times of two kernels. These are kernels with and without
+    viscosity, G2P for metal and for an elastic law, and kernels for one law per particle and for a
+    single law.
     """
     if scene.projects:
         yield from _of_liquid(scene)

@@ -26,7 +26,8 @@ SOFTER = 16.0
 def find_remedies(
     causes: Sequence[str], scene: Scene, time: float = math.inf
 ) -> tuple[Remedy, ...]:
-    """Return the remedies for a stop in a frame at `time` [s] that would change the scene.
+    """Return the remedies for a run that stopped at `time` [s]; remedies that change nothing are
+    omitted.
 
     `causes` are keys of `REMEDIES`, the likeliest first.
     """
@@ -88,8 +89,8 @@ def _halve_push(scene: Scene) -> Remedy | None:
 def _end_motion(scene: Scene, time: float) -> Remedy | None:
     """Return the remedy that shortens the prescribed motions at `time`.
 
-    A ball was moved into the ground until the run stopped. The run succeeded when the motion ended
-    after half of the time until the stop.
+    In a test, a ball was moved into the ground until the run stopped. When the motion ended after
+    half of this time, the run was completed.
     """
     changes: dict[str, Any] = {}
     for index, force in enumerate(scene.forces):
@@ -115,8 +116,9 @@ def _choose_sounder_law(scene: Scene) -> Remedy | None:
 
 
 def _shorten_substep(scene: Scene) -> Remedy | None:
-    """Divide the substep by four, because half the substep has failed. On lattices, a quarter
-    helped in none of three random scenes. Steps of projected liquids do not depend on `cfl`.
+    """Divide the substep by four, because half the substep has failed. On lattices, there is no
+    remedy, because a quarter of the substep did not help in three random scenes. Steps of projected
+    liquids do not depend on `cfl`.
     """
     if scene.on_lattice or (scene.projects and not scene.has_solids):
         return None
@@ -160,7 +162,7 @@ SLOW = {
     "retry": ("push",),
     "wave": (),
 }
-"""Keys of the `REMEDIES` that lengthen the substep, by limit."""
+"""For each limit of the substep: keys of the `REMEDIES` that lengthen the substep."""
 
 
 def _reduce_viscosity(scene: Scene) -> Remedy | None:
@@ -188,7 +190,7 @@ REMEDIES: dict[str, Callable[[Scene], Remedy | None]] = {
     "friction": _reduce_viscosity,
     "ceiling": _raise_ceiling,
 }
-"""Functions that return the remedy for a scene or None, by cause of a stop."""
+"""For each cause of a stop: a function that returns the remedy for a scene, or None."""
 
 
 def _format(value: Any) -> str:

@@ -36,8 +36,9 @@ class Bars:
     """A `Progress` that shows the current stage; use it as a context manager.
 
     Ctrl-C ends the work at the next report of progress, because stopping inside a kernel could
-    crash the process. A second Ctrl-C interrupts at once. If `keeps` is true, a message says that
-    the results so far are saved; the caller must save them. `left` predicts the remaining time [s].
+    crash the process. A second Ctrl-C interrupts the work immediately. If `keeps` is true, a
+    message says that the results so far are saved; the caller must save them. `left` predicts the
+    remaining time [s].
     """
 
     def __init__(

@@ -106,7 +106,9 @@ def describe(cutout: dict[str, Any]) -> str:
 
 
 def doubt(cutout: Cutout, remedy: str) -> None:
-    """Print a cut-out's notes and warnings on standard error; after warnings, also a remedy."""
+    """Print a cut-out's notes and warnings on standard error; if there are warnings, add a
+    remedy.
+    """
     for note in cutout.notes:
         print(f"note: {note}", file=sys.stderr)
     for warning in cutout.warnings:

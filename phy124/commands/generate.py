@@ -334,7 +334,7 @@ def show(result: pipeline.Result, study: str, *, as_json: bool) -> int:
 
 
 def print_files(result: pipeline.Result) -> None:
-    """Print the names of the files, and the PSNR of a video inside the photograph."""
+    """Print the names of the files, and the PSNR of the object in its photograph."""
     if composed := result.report.get("compose"):
         print(f"in the picture: {composed['psnr']:.1f} dB inside the object in the first frame")
     for path in result.files:

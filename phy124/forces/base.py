@@ -26,7 +26,8 @@ class Force(Section):
     """Whether the force may change velocities abruptly even if its strength is small."""
     in_newtons: ClassVar[bool] = False
     """Whether the force's vector is a force on each particle [N] instead of an acceleration
-    [m/s^2]."""
+    [m/s^2].
+    """
     strengths: ClassVar[tuple[str, ...]] = ()
     """Names of the fields that determine the strength of the force."""
     speeds: ClassVar[tuple[str, ...]] = ()
@@ -218,10 +219,10 @@ def stage(
         state: The particles, whose velocities change.
         tracks: The tracks to which the strength is added.
         read: Arrays of the state that the kernel reads.
-        over: Interval (the kick or the next substep) over which a track whose `mean` is false is
-            averaged.
-        limited: Whether the force itself limits the substep, which replaces the limit from the
-            values of the track.
+        over: If the track's `mean` is false: the interval over which the track is averaged (the
+            kick or the drift).
+        limited: Whether the force has its own limit of the substep, instead of the limit from the
+            track's values.
     """
     chosen = force.chosen(model)
     slot = tracks.add(track, over=over, limited=limited)
@@ -235,6 +236,6 @@ def stage(
 
 
 def within(chosen: wp.array, run: slice) -> wp.array:
-    """Return the entries of a sorted list of particle indices that are within a range."""
+    """Return the particle indices within a range, from a sorted list of indices."""
     first, last = np.searchsorted(chosen.numpy(), [run.start, run.stop]).tolist()
     return cast("wp.array", chosen[first:last])

@@ -125,7 +125,7 @@ class ZoneForce(Force):
 
 
 UNIT: Vector = (1.0, 0.0, 0.0)
-"""Arbitrary direction of a force of which only the strength over time is used."""
+"""Arbitrary direction of a track. `SetVelocity` uses only the track's strength over time."""
 
 
 class SetVelocity(Force):

@@ -49,7 +49,7 @@ class DepthMap(Section):
         return None if self.depth in ("auto", "off", *NETWORKS) else Path(self.depth)
 
     def bind(self, generator: Any, name: str) -> Any:
-        """Return a generator that uses the depth map, or the network that estimates the depth.
+        """Return a generator that uses the depth map, or a network if the depth is to be estimated.
 
         Raises:
             InputError: If the generator cannot use a depth map, or the file of the map is unusable.

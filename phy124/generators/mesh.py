@@ -42,15 +42,17 @@ LARGEST = 200_000_000
 MOST_TRIANGLES = 2_000_000
 TIME = isolated.Deadline(seconds=60.0)
 COUNT = 24_000
-"""With fewer Gaussians, the edges of a mesh would look ragged."""
+"""Number of Gaussians of a mesh. With fewer Gaussians, the edges of the mesh would look ragged."""
 OBJECT_COUNT = 50_000
 """Number of Gaussians of a mesh that is the first object of a scene."""
 GREY = (0.7, 0.7, 0.7)
 """Colour of a mesh without colours."""
 FAR = 100.0
-"""float32 is too coarse for a mesh farther from the origin, relative to the mesh's size."""
+"""A mesh that is farther from the origin, relative to its size, is moved to the origin, because
+float32 positions would be too coarse.
+"""
 LARGEST_HEADER = 1 << 20
-"""Number of bytes in which a mesh is recognised."""
+"""Number of bytes at the start of a file that show whether the file is a mesh."""
 SMALLEST = 1e-6
 """Smallest surface area of a mesh, relative to the square of its longest side."""
 Drawn = tuple[NDArray[np.float64], NDArray[np.float64], "NDArray[np.float64] | None"]

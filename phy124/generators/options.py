@@ -96,7 +96,7 @@ class Effort:
 
 
 def effort_of(generator: Any) -> Effort | None:
-    """Return the predicted effort of a generator; None for fast generators."""
+    """Return the predicted run time and the settings of a generator; None for fast generators."""
     effort: Callable[[], Effort] | None = getattr(generator, "effort", None)
     return effort() if effort is not None else None
 
@@ -104,7 +104,7 @@ def effort_of(generator: Any) -> Effort | None:
 def speed_of(device: str, dtype: Any) -> Work:
     """Measure how many floating-point operations of each kind torch performs per second.
 
-    The measured arrays are as large as those of the networks; this takes about a second.
+    The measured arrays are as large as those of the networks; the measurement takes about a second.
     """
     import torch
     from torch.nn import functional as F

@@ -102,8 +102,8 @@ class Opened(NamedTuple):
 class PlyFile:
     """A generator that reads Gaussians from a file and ignores the image.
 
-    The generator does not separate an object from the floor, because the scene would be needed;
-    `phy124.pipeline.capture` does so.
+    The generator does not know the scene, so it does not separate an object from the floor.
+    `phy124.pipeline.capture` separates the object.
     """
 
     path: str
@@ -223,7 +223,8 @@ class PlyFile:
 
 
 def normalise_size(gaussians: Gaussians, name: str = "") -> Gaussians:
-    """Centre Gaussians on the origin and scale their longest side to 1 m, without outliers.
+    """Centre an object on the origin and scale its longest side to 1 m, ignoring outlying
+    Gaussians.
 
     Raises:
         InputError: If nearly all opacity is at a single point.
@@ -246,7 +247,7 @@ def unit_transform(gaussians: Gaussians, name: str) -> tuple[float, NDArray[np.f
 
 
 def robust_bounds(gaussians: Gaussians) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the smallest and largest coordinates [3], [3] of the centres, without outliers.
+    """Return the smallest and largest coordinates [3], [3] of the centres, ignoring outliers.
 
     The bounds are exact if there are no outliers: they include all Gaussians within `MARGIN` core
     sizes of the core.

@@ -1,6 +1,6 @@
 """Generator `relief`: inflates an image with alpha into a closed shell of flat Gaussians.
 
-The generator needs no trained weights. The solid is the most plausible one for the silhouette.
+The generator needs no trained weights. `relief` makes the most plausible solid for a silhouette.
 docs/lab/relief.md compares the results with objects whose shape is known.
 """
 

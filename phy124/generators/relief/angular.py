@@ -21,14 +21,14 @@ SHORTEST = 20.0
 TILTED = 3.0
 """Largest angle between an edge and the vertical or the horizontal [degrees]."""
 EITHER = 0.15
-"""Smallest fraction of the outline in each direction."""
+"""Smallest fraction of the outline that consists of vertical edges, and of horizontal edges."""
 BOTH = 0.4
-"""Smallest fraction of the outline in both directions together."""
+"""Smallest fraction of the outline that consists of vertical or horizontal edges."""
 SOLID = 0.8
-"""Smallest area relative to the convex hull; hourglasses fill less."""
+"""Smallest area, relative to the convex hull; hourglasses fill less of their hull."""
 ACROSS, EXPLAINED = 0.15, 0.25
-"""Smallest change of brightness from the axis of a round object to a side, relative to the mean,
-and smallest fraction of the variation that the shading explains.
+"""Smallest change of brightness from the axis of a cylinder to a side, relative to the mean
+brightness, and smallest fraction of the brightness changes that a cylinder's shading explains.
 """
 INNER = 0.92
 """Largest examined distance from the middle of a row, relative to half the row's length."""

@@ -36,7 +36,7 @@ SHIFTS = 21
 INSET = 0.03
 """Distance from the rim at which colours are read, relative to the image's size."""
 SHORTER = 6.0
-"""Exponent in the weights of rows and columns; the shorter of the two has the larger weight."""
+"""Exponent in the weights of a pixel's row and column; the shorter one has the larger weight."""
 COARSE = 3.0
 """Standard deviation of the filter that separates colours from fine texture [pixels]."""
 PATCH = 20
@@ -48,7 +48,9 @@ OFFSET = 3
 QUIET = 0.4
 """Fraction of the front's patches that may be copied: those with the least texture."""
 STRONG = 0.07
-"""Standard deviation from which texture is weakened, because it shows edges of features."""
+"""Largest standard deviation of copied texture. Stronger texture is weakened, because it shows
+edges of features.
+"""
 BINS = 10
 """Number of histogram bins per channel for a flat card's colours."""
 ALIKE = 6

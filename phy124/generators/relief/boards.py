@@ -22,7 +22,7 @@ from phy124.generators.shapes import choose_triangles
 Field = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 BURIED = 1.0
-"""Points deeper inside another board are left out [pixels]."""
+"""Largest depth of a point inside another board [pixels]; deeper points are left out."""
 FACING = 0.2
 """Smallest cosine between the normal and the view ray at which a point gets the image's colour."""
 
@@ -62,7 +62,7 @@ class Board:
         """Return where rays [N,3] from the eye enter and leave the board [N], in units of the rays'
         lengths.
 
-        If a ray misses the board, the first value is larger.
+        If a ray misses the board, the first value is larger than the second.
         """
         planes = self.hull.equations
         speed, gap = rays @ planes[:, :3].T, -(eye @ planes[:, :3].T + planes[:, 3])
@@ -71,7 +71,8 @@ class Board:
         return enter, np.where(speed > 0, cross, np.inf).min(axis=1)
 
     def fold(self, points: Field) -> Field:
-        """Return positions [N,3] relative to the board's axis, which are equal for mirror images.
+        """Return positions [N,3] relative to the board's axis; points that are mirror images get
+        the same position.
 
         Left and right are mirror images, and so are front and back. In flat boards, above and below
         are also mirror images.

@@ -32,22 +32,22 @@ UNEVEN = 3
 AROUND = 0.88
 """Smallest fraction of the outline along which a border's edge is visible."""
 KNOWN = 0.6
-"""Smallest fraction of the outline at which the object is as thick as the border."""
+"""Smallest fraction of the sectors that have pixels at the border's distance from the outline."""
 LEAST = 0.012
 """Smallest change of a colour across the edge [1 / pixel]."""
 CLEAR = 3.0
-"""Smallest ratio of the change across the edge to the changes along the outline, which patterns
-cause.
+"""Smallest ratio of the change across the edge to the usual change along the outline. Patterns
+cause large changes along the outline.
 """
 NOISE = 0.004
 """Noise of the changes along the outline [1 / pixel]."""
 SHARP = 0.5
-"""Largest change on both sides of the edge, relative to the change at the edge; shading changes
-more gradually.
+"""Largest change of the colour on both sides of the edge, relative to the change at the edge. The
+ratio is larger for shading, which changes gradually.
 """
 ALIKE = 0.7
-"""Smallest fraction of the outline at which the colour changes as a twelfth of the outline away. A
-chessboard's colours change in both directions.
+"""Smallest fraction of the sectors in which the colour changes in the same direction as in the
+sector a twelfth of the outline away. A chessboard's colours change in opposite directions.
 """
 AWAY = (6, 10)
 """Range of distances from the edge in which the change is measured [pixels]."""

@@ -188,8 +188,8 @@ def _covers(object_mask: NDArray[np.bool_], corners: NDArray) -> float:
 def rounded_polygon(object_mask: NDArray[np.bool_], count: int) -> Field | None:
     """Return the corners [C,2], pixels, of a convex polygon whose `count` corners were rounded.
 
-    The corners are the intersections of the long edges. If their number differs from `count`, or
-    the silhouette does not fill the polygon, return None.
+    The corners are the intersections of the long edges. The result is None if the number of long
+    edges differs from `count`, or if the silhouette does not fill the polygon.
     """
     hull = cv2.convexHull(outline_of(object_mask))
     start = cv2.approxPolyDP(hull, ROUGH, closed=True)[:, 0].astype(np.float64)

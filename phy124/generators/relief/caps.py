@@ -12,9 +12,8 @@ from phy124.generators.relief.surface import Surface, View
 
 Field = NDArray[np.float64]
 SEEN = 0.7
-"""Weight of the front edge in the height of a flat end.
-
-The end's corners have the remaining weight. Separate feet have the weight 1.
+"""Weight of the end's front edge in the height of a flat end. The height is a weighted mean of the
+heights of the front edge and of the end's corners. For separate feet, the weight is 1.
 """
 STRIP = 8
 """Height of the strip that colours an end [pixels]."""
@@ -56,7 +55,9 @@ class Plane:
         return normals / np.linalg.norm(normals, axis=1, keepdims=True)
 
     def includes(self, points: Field, by: float) -> NDArray[np.bool_]:
-        """Whether points [N,3] lie on the inner side by at least `by` pixels."""
+        """Whether points [N,3] are on the object's side of the plane, at least `by` pixels from the
+        plane.
+        """
         x, y, z = points.T
         return (self.rows(x, z)[0] - y) * self.sign * self.view.k(z) >= by
 

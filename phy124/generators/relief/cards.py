@@ -1,4 +1,4 @@
-"""Recognises cards, photographic prints and pages, which lie in any direction.
+"""Recognises cards, photographic prints and pages in any orientation.
 
 A card has four straight edges, whereas a box seen obliquely shows six corners. An upright rectangle
 is a card if the front is neither plain nor shaded like a cylinder.
@@ -18,11 +18,13 @@ Mask = NDArray[np.bool_]
 SIDE = 128
 """Side of the straightened front [pixels]."""
 INSET = 0.02
-"""Width of the edge that is left out, relative to the edges' lengths."""
+"""Width of the strip along the edges that is left out, relative to the edges' lengths."""
 NARROWEST = 0.4
 """Smallest ratio of a card's edges; narrower objects may be sticks."""
 FARTHER = 0.6
-"""Smallest ratio of opposite edges, of which the farther appears shorter; cones have less."""
+"""Smallest ratio of the lengths of opposite edges. The farther edge of a card appears shorter;
+cones have smaller ratios.
+"""
 
 
 def is_card(rgba: Field, plain: bool) -> bool:
@@ -43,7 +45,9 @@ def is_card(rgba: Field, plain: bool) -> bool:
 
 
 def _is_beaker(corners: Field, upright: Mask) -> bool:
-    """Whether an outline with horizontal ends is wider above; the far end of a card is narrower."""
+    """Whether an outline with horizontal ends is wider at the top, unlike a card, whose far end
+    appears narrower.
+    """
     if np.count_nonzero(upright) != 2:
         return False
     across = corners[np.argsort(corners[:, 1]), 0]

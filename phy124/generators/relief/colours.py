@@ -14,13 +14,15 @@ from phy124.runtime.cores import cores
 
 Field = NDArray[np.float64]
 REACH = 0.2
-"""Depth behind the rim over which colours change to the back, relative to the image's size."""
+"""Depth behind the rim in which the mirrored front's colours change to the back's colours, relative
+to the image's size.
+"""
 STRETCH = 1.0
 """Blur of the image per unit of stretch by a steep surface [pixels]."""
 BLURS = 0.0, 1.5, 3.0, 6.0
 """Levels of blur [pixels]."""
 FRINGE = 2.0
-"""Width of the silhouette's edge in which colours are ignored [pixels]."""
+"""Width of the strip along the silhouette's edge in which colours are ignored [pixels]."""
 
 
 def clean_picture(rgba: Field) -> Field:
@@ -111,7 +113,7 @@ def _sample(picture: Field, place: Field) -> Field:
 
 
 FACING = 4.0
-"""Exponent of the cosine between the normal and the view direction in an image's weight."""
+"""An image's weight contains this power of the cosine between the normal and the view direction."""
 HIDDEN = 0.02
 """Factor of an image's weight for points that are hidden in the image."""
 BEHIND = 8.0
@@ -133,7 +135,7 @@ class Shown:
     across: Field
     """Unit vector along the rows [3]."""
     weight: float = 1.0
-    """A photograph has the weight 1."""
+    """Weight of the image's colours; the weight of a photograph is 1."""
 
     def colours(self, points: Field, distance: float) -> Field:
         """Return the colours [N,3] that a camera at `distance` sees at points [N,3]."""

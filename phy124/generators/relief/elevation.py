@@ -36,7 +36,7 @@ class Raised:
         return seen[:, :2] / (1 - seen[:, 2:] / self.distance)
 
     def stand(self, shell: Shell) -> Shell:
-        """Turn a shell upright that was made for a camera in front of the object.
+        """Turn a shell upright; the shell was made for a camera in front of the object.
 
         Each point moves along its view ray, so that the plane through the object's centre becomes
         vertical.

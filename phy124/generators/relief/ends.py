@@ -25,8 +25,8 @@ ARC = 0.15
 CURVED, STRAIGHT = 4, 2
 """Smallest height of an arc, and largest height of a straight edge [pixels]."""
 CORNERED = 0.92
-"""Smallest width at the start of an end's arc, relative to the width at twice the arc's height. For
-a ball, this ratio is 0.74.
+"""Smallest ratio of the width at the start of an end's arc to the width at twice the arc's height.
+For a ball, this ratio is 0.74.
 """
 RAGGED = 0.03
 """Smallest depth of a gap between parts, relative to the end's width. Shallower gaps are

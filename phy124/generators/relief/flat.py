@@ -20,19 +20,24 @@ from phy124.generators.relief.surface import Surface
 
 Field = NDArray[np.float64]
 PLAIN = 0.004
-"""Smallest variation in a photograph, as the logarithm of the brightness.
-
-Drawings in plain colours vary less, even if the object is round.
+"""Smallest standard deviation of the logarithm of the brightness in a photograph. Drawings in plain
+colours have a smaller value, even if the object is round.
 """
 SHADED = (0.015, 0.018)
-"""Contrasts of the shading below which a front is flat, and above which it is round."""
+"""A front is flat if the contrast of the shading is below the first value, and round if the
+contrast is above the second value.
+"""
 RADII = (0.1, 0.15, 0.22, 0.3, 0.4, 0.45)
 HALVES = (0.03, 0.04, 0.08, 0.24, 0.24, 0.08)
-"""Radii of the largest inscribed disc, and half thicknesses, relative to the image's size."""
+"""Table of a flat object's half thickness for radii of the largest inscribed disc. All values are
+relative to the object's size.
+"""
 DISC = 0.4
-"""Relative radius of an outline that is close to a disc."""
+"""Radius of the largest inscribed disc, relative to the object's size, from which an outline counts
+as a disc.
+"""
 GROUND = 0.1
-"""Height of the lowest part, relative to the object's height."""
+"""Height of the lowest strip, in which feet are searched for, relative to the object's height."""
 TOUCH = 0.03
 """Largest height of a foot above ground, relative to the object's height."""
 FOOT = 0.35
@@ -58,7 +63,7 @@ def flatten(
         surface: Surface of the round object.
         picture: Colours of the image, and mask of the object.
         size: Size of the object [pixels].
-        always: Whether the object is flat regardless of the front.
+        always: Whether the object is flat even if the front shows shading.
         most: Largest half thickness of a flat object, relative to `size`.
     """
     shading = Shading.of(picture.rgba[..., :3], surface, picture.object_mask)

@@ -60,7 +60,7 @@ def _light(rgba: Field) -> Field:
 
 
 def _white(rgb: NDArray[np.float32], under: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Return whether each colour [H,W,3] is `under` [H,W,3] plus white light [H,W]."""
+    """Return whether each colour [H,W,3] equals `under` [H,W,3] plus some white light."""
     added, full = rgb - under, rgb > FULL
     light = np.where(full, -np.inf, added).max(axis=2, keepdims=True)
     light = np.where(np.isfinite(light), light, added.max(axis=2, keepdims=True))

@@ -23,7 +23,7 @@ Field = NDArray[np.float64]
 COARSE = 4
 """Cell size of the coarse search, relative to the final search."""
 OUTSIDE = -4.0
-"""Lower limit of the normalised silhouette far outside the object."""
+"""Lower limit of s - 1 far outside the object (see `Hull`)."""
 TOLERANCE = 0.25
 """Largest distance of a point from the surface [pixels]."""
 BEYOND = 3

@@ -2,7 +2,8 @@
 
 The object is symmetric about the image plane, so legs and wheels are in pairs on both sides of the
 plane. The arch is the largest gap between the parts on the ground. Under a wide arch, there are
-forelegs on one side and hind legs on the other. A pointed arch has only two legs, as of a bird.
+forelegs on one side and hind legs on the other. Beside a pointed arch, there are only two legs,
+such as those of a bird.
 """
 
 from __future__ import annotations
@@ -29,10 +30,12 @@ LOWEST = 0.08
 HIGHEST = 0.65
 """Largest height of the arch, relative to the object's height."""
 ARCHED = 0.5
-"""Width of the arch at the measured top, relative to the largest width."""
+"""The top of a wide arch is the first row with at least this width, relative to the largest
+width.
+"""
 UPPER, WIDE = 0.25, 0.5
-"""Distance from the top of a gap at which the width is measured, relative to the gap's height, and
-smallest width of a wide arch there, relative to the largest width.
+"""The width of the arch is measured at this distance from its top, relative to its height. The arch
+is wide if this width, relative to the largest width, is at least the second value.
 """
 WHEEL = 0.5
 """Thickness of a wheel, relative to the diameter."""
@@ -212,7 +215,9 @@ def find_legs(rgba: Field) -> Legs | None:
 
 
 def _gaps(solid: Mask) -> list[Mask]:
-    """Return the parts of the background [H,W] between feet that stand on the last row."""
+    """Return masks [H,W] of the gaps: parts of the background that touch the last row, but no other
+    side of the image.
+    """
     parts, _ = scipy.ndimage.label(~solid)  # pyright: ignore
     outer = {*parts[0], *parts[:, 0], *parts[:, -1]}
     return [parts == number for number in set(parts[-1]) - outer - {0}]

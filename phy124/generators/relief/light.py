@@ -32,10 +32,10 @@ PRIOR = 0.3
 SAMPLES = 60.0
 """Number of independent samples in an image."""
 LIMIT = 0.3
-"""Largest length of s across the view."""
+"""Largest absolute value of the two components of s that are perpendicular to the view."""
 FRONTAL = 0.2
-"""Largest component of s towards the camera. The smallest is 0, because light is rarely from
-behind.
+"""Largest component of s towards the camera. The smallest component is 0, because light is rarely
+from behind.
 """
 CERTAIN = (0.08, 0.16)
 """Lengths of s below which s is ignored, and above which s is used fully. Short s may be caused by

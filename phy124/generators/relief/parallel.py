@@ -17,7 +17,7 @@ SMOOTHING = 0.04
 """Standard deviation of the filter that smooths the rows' depths, relative to the object's height.
 """
 END = 0.05
-"""Length over which a flat end changes the rows' depths, relative to the object's height."""
+"""Rows within this distance from a flat end are near the end, relative to the object's height."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,8 +105,8 @@ def _ends(front: Profile, side: Profile, y: Field) -> NDArray[np.bool_]:
 
 
 def straighten(profile: Profile, y: Field, rows: Rows) -> Field:
-    """Return squared half thicknesses [N,W] at heights y [N]; the odd W has the profile in the
-    middle.
+    """Return squared half thicknesses [N,W] at heights y [N]. W is odd, and the object's centre is
+    in the middle column.
     """
     column = np.flatnonzero((profile.w > 0).any(axis=0)) - profile.middle[0]
     reach = int(np.ceil(np.abs(column).max() / rows.k.min())) + 4

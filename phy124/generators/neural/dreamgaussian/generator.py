@@ -88,8 +88,8 @@ WITH_IMAGEDREAM = Settings(
 )
 """The settings of DreamGaussian's imagedream.yaml, for the guidance `MultiView`.
 
-The prompt is always empty. In this case, the original program does not use the diffusion model, but
-phy124 does.
+The prompt is always empty. With an empty prompt, the original program does not use the diffusion
+model, but phy124 does.
 """
 
 

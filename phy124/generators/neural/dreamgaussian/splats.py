@@ -196,7 +196,9 @@ class Density:
 
 
 class Pull:
-    """Average, over several views, of the loss's gradient for each Gaussian's screen position."""
+    """For each Gaussian: the loss's gradient for the screen position, averaged over several
+    views.
+    """
 
     def __init__(self, count: int, device: torch.device | str = "cpu") -> None:
         self.total = torch.zeros(count, device=device)

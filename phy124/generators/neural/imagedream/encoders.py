@@ -108,7 +108,7 @@ EMPTY_PROMPT = (49406, 49407, *([0] * 75))
 always empty.
 """
 SPARE = ("position_ids", "visual_projection.weight", "text_projection.weight", "logit_scale")
-"""Tensors in some CLIP files that ImageDream does not need."""
+"""Names of tensors that some CLIP files contain, but ImageDream does not need."""
 CLIP_SIZE = 224
 CLIP_MEAN = (0.48145466, 0.4578275, 0.40821073)
 CLIP_STD = (0.26862954, 0.26130258, 0.27577711)

@@ -182,7 +182,8 @@ NOT_ROTATED = (1.0, 0.0, 0.0, 0.0)
 SIDE = 128
 """Side of the compared images [pixels]."""
 MARGIN = 0.98
-"""Largest error at which "all" is chosen, relative to the error of "each"; "all" is rarely right.
+"""Largest ratio of the error with "all" to the error with "each" at which "all" is chosen. The
+ratio is below 1, because "all" is rarely right.
 """
 
 
