@@ -35,7 +35,9 @@ SH_C3 = (
     1.445305721320277,
     -0.5900435899266435,
 )
-"""Factors of degrees 1 to 3, with the signs and the order of Kerbl et al. 2023."""
+"""Constant factors of the spherical harmonics of degrees 1 to 3, with the signs and in the order of
+Kerbl et al. 2023.
+"""
 SH_COEFFICIENTS = (1, 4, 9, 16)
 
 

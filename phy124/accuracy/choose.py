@@ -44,9 +44,8 @@ FIRST = (12, 16, 24)
 STEP = 1.5
 """Largest ratio of the cells on a new grid to the cells on the finest grid so far."""
 CELLS = (8, 10, 12, 14, 16, 20, 24, 28, 32, 40, 48, 56, 64, 80, 96, 112, 128)
-"""Cells across the object on further grids.
-
-A run on the finest grids takes minutes on two cores, and less than 2 GB of memory.
+"""Possible numbers of cells across the object after the first grids. A run on the finest grids
+takes minutes on two cores, and less than 2 GB of memory.
 """
 GUESSED_ORDER = 1.0
 """Order of convergence that is assumed if the results do not converge; with free surfaces, the

@@ -29,9 +29,9 @@ from phy124.simulation import Simulation, prepare
 from phy124.simulation.setup import Setup
 
 AFFORDABLE = 0.2
-"""Largest predicted time of the companion run, relative to the dynamics of the original run."""
+"""Largest predicted time of the companion run, relative to the original run's simulation."""
 ON_LATTICE = 1.5
-"""Factor on `AFFORDABLE` for lattices. The dynamics of a lattice take at most half of the run's
+"""Factor on `AFFORDABLE` for lattices. On a lattice, the simulation takes at most half of the run's
 time.
 """
 SAMPLE = 2000
@@ -122,7 +122,7 @@ class OwnError(NamedTuple):
     cells: int | None = None
     """Cells across the object in the companion run."""
     cost: float | None = None
-    """Predicted time of the companion run, relative to the dynamics of the original run."""
+    """Predicted time of the companion run, relative to the original run's simulation."""
     why_not: str = ""
     """Reason why there is no estimate."""
 
@@ -203,12 +203,14 @@ def coarsen(scene: Scene) -> Scene:
 
 
 def affordable(run: Simulation) -> float:
-    """Return the largest predicted time of a companion run, relative to the original dynamics."""
+    """Return the largest predicted time of a companion run, relative to the original run's
+    simulation.
+    """
     return AFFORDABLE * (ON_LATTICE if run.scene.on_lattice else 1.0)
 
 
 def forecast(run: Simulation, substeps: int, particles: int | None = None) -> float:
-    """Return the time of the companion run, relative to the original dynamics."""
+    """Return the time of the companion run, relative to the time of the original run's substeps."""
     kind = run.scene.solver if run.device == "cpu" else "cuda"
     (rates, bare), (once, each, point) = RATES[kind], PREPARING[kind]
     if particles is None:

@@ -57,7 +57,7 @@ class Expectation(NamedTuple):
     error: float | None
     """Bound on the RMS distance from the exact motion, relative to the object's size."""
     unmeasured: str = ""
-    """Kind of the scene, if no scene of this kind was measured."""
+    """Kind of the scene if no such scene was measured; otherwise empty."""
     such: str = ""
     """Law and kind of motion of the measured objects."""
     objects: int = 0

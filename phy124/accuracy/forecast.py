@@ -130,7 +130,9 @@ class Forecast:
         return {**asdict(self), "seconds": self.seconds, "span": self.span}
 
     def compare(self, spent: Mapping[str, float]) -> dict[str, Any]:
-        """Compare predicted and measured times `spent` [s], by stage and in total."""
+        """Compare the predicted times with the measured times `spent` [s], by stage and in
+        total.
+        """
         predicted = {n: s for n, s in self.stages.items() if n not in self.measured and n in spent}
         rows = {
             name: {
@@ -205,7 +207,7 @@ class Forecaster:
         self._meter = LoadMeter(self.context.device)
 
     def forecast(self, gaussians: Gaussians, scene: Scene, *, crop: Crop = WHOLE) -> Forecast:
-        """Forecast the time of a run of a scene, with its particles.
+        """Forecast the time of a run.
 
         Raises:
             InputError: A simulation of the scene cannot be prepared; see `Simulation`.

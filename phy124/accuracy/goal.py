@@ -20,7 +20,7 @@ UNIT: dict[Kind, Callable[[Scene], float]] = {
     "fraction": lambda scene: 1.0,
     "metres": lambda scene: scene.object.size,
 }
-"""Object size in the goal's unit."""
+"""Functions that return the size of a scene's object in the goal's unit."""
 MARGIN = 0.95
 """Largest predicted time, relative to the goal's time; forecasts err by a few %."""
 

@@ -22,7 +22,7 @@ BLOCK = bytes(1 << 18)
 ALONE = 0.93
 """Smallest fraction of its time that a thread gets on a free core."""
 SECOND_THREAD = 1.5
-"""Factor on the time of a simulation without a free core for the second thread."""
+"""Factor on the time of a simulation if no core is free for its second thread."""
 MINIMUM, MAXIMUM = 0.8, 1.5
 """Range of the ratio of measured to predicted time on an idle machine (docs/lab/forecasts.md)."""
 BUSY = 1.2

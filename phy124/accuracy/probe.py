@@ -105,8 +105,8 @@ def probe(simulation: Simulation, pilot: Pilot | None = None) -> tuple[SubstepCo
 def _seconds_per_substep(
     solver: AnySolver, after: Callable[[], None] | None, pilot: Pilot | None
 ) -> tuple[float, float, int]:
-    """Return the time of a substep [s], its fraction that is proportional to the number of nodes,
-    and this number.
+    """Return the time of a substep [s], the fraction of the time that is proportional to the number
+    of nodes, and the number of nodes.
     """
     if isinstance(solver, Solver) and solver.on_device:
         return _seconds_in_graph(solver, after), 0.0, solver.grid.count
@@ -391,7 +391,7 @@ def run_pilot(
 def substeps_at_rest(solver: AnySolver) -> float:
     """Return the substeps per second in the initial state [1/s].
 
-    A particle solver must have measured its limits.
+    If the solver uses particles, it must already have measured its limits.
     """
     if _on_lattice(solver):
         return 1 / solver.limits.substep_at_rest

@@ -37,7 +37,7 @@ class Promise:
     why: str
     """Source of the bound, or the reason why there is none."""
     unmeasured: str = ""
-    """Kind of the scene, if no scene of this kind was measured."""
+    """Kind of the scene if no such scene was measured; otherwise empty."""
     about: float | None = None
     """Error measured on this scene, relative to the object's size, or None."""
     seconds: float | None = None

@@ -23,7 +23,7 @@ from phy124.runtime.memory import MEMORY_FRACTION, free_memory
 from phy124.scene import Scene
 
 MUCH_STIFFER = 3.0
-"""Ratio of the two largest wave speeds above which a note names the stiffest part."""
+"""If the ratio of the two largest wave speeds is larger, a note names the stiffest part."""
 MANY, LONG = 5.0, 20.0
 """A note about speed is printed if the run needs at least `MANY` times as many substeps as at rest,
 and at least `LONG` seconds on a CPU.

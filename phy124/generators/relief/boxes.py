@@ -140,7 +140,7 @@ class Cuboid:
 
 
 def find_box(object_mask: NDArray[np.bool_], view: View) -> Cuboid | None:
-    """Return the box with the silhouette [H,W], or None.
+    """Return the box that fits the silhouette [H,W]; None if no box fits.
 
     Cameras farther away than `view` are also tried, because drawings often have a weak perspective.
     """

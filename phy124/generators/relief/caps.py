@@ -16,7 +16,7 @@ SEEN = 0.7
 heights of the front edge and of the end's corners. For separate feet, the weight is 1.
 """
 STRIP = 8
-"""Height of the strip that colours an end [pixels]."""
+"""Height of the strip of the image whose colours a flat end gets [pixels]."""
 BLUR = 12.0
 """Blur of the end's colours, as a standard deviation [pixels]."""
 

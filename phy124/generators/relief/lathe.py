@@ -27,7 +27,7 @@ elevation, as for a ball, the outline shows no elevation.
 HALVINGS = 3
 """Number of times the step between elevations is halved."""
 LEFT = 0.015
-"""Largest fraction of the silhouette without circles."""
+"""Largest fraction of the silhouette that no circle covers."""
 MORE = 0.004
 """Largest difference of the empty fraction from the minimum over all elevations."""
 ANGLES = np.linspace(0, np.pi, 33)

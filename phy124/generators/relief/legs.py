@@ -2,8 +2,8 @@
 
 The object is symmetric about the image plane, so legs and wheels are in pairs on both sides of the
 plane. The arch is the largest gap between the parts on the ground. Under a wide arch, there are
-forelegs on one side and hind legs on the other. Beside a pointed arch, there are only two legs,
-such as those of a bird.
+forelegs on one side and hind legs on the other. A pointed arch is between two single legs, such as
+those of a bird.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ LONG = 1.2
 sides.
 """
 ROOT = 0.5
-"""Height of the legs inside the body, relative to the body's height."""
+"""Height of the part of a leg that is inside the body, relative to the body's height."""
 ROOTED = 0.6
 """Largest half width of a leg inside the body, relative to the leg's mean width."""
 APART = 0.55

@@ -38,12 +38,12 @@ FRONTAL = 0.2
 from behind.
 """
 CERTAIN = (0.08, 0.16)
-"""Lengths of s below which s is ignored, and above which s is used fully. Short s may be caused by
-colours.
+"""If the length of s is below the first value, s is ignored; above the second value, s is used
+fully. A short s may be caused by colours.
 """
 THICK = (8.0, 18.0)
-"""Half thicknesses below which s is ignored, and above which s is used fully [pixels]. The normals
-of thin objects are uncertain.
+"""If the largest half thickness [pixels] is below the first value, s is ignored; above the second
+value, s is used fully. The normals of thin objects are uncertain.
 """
 ROUNDS = 4
 

@@ -76,7 +76,9 @@ def pose_row(elevation: float, azimuth: float) -> list[float]:
 
 
 SPARE_UNETS = 2.0
-"""Free memory, relative to the U-Net's size, above which the image encoder stays in memory."""
+"""If the free memory, relative to the U-Net's size, is larger, the image encoder stays in
+memory.
+"""
 FRAMES = 5
 """Number of frames: four views and the image."""
 SIZE = 256

@@ -22,7 +22,7 @@ COARSE = 64
 REFINE = 3
 """Number of fine intervals in each coarse interval."""
 NEAR = 3.0
-"""Largest |log(density / threshold)| around which the fine grid is evaluated."""
+"""The fine grid is evaluated near points whose |log(density / threshold)| is below this value."""
 FRAGMENT = 0.01
 """Pieces below this fraction of the largest piece's volume are removed."""
 BATCH = 1 << 18
