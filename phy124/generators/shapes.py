@@ -11,7 +11,7 @@ from phy124.gaussians import Gaussians, quaternions, spread_directions
 COUNT = 8000
 """Approximate number of Gaussians."""
 TRIES = 6
-"""Number of random points for each point that is kept on a set of triangles."""
+"""Number of random points on the triangles from which one evenly spaced point is chosen."""
 FLATNESS = 0.15
 """Thickness of Gaussians, relative to their width."""
 LIGHT = (0.35, 0.25, 0.9)
@@ -103,8 +103,8 @@ def choose_triangles(
 
 
 def _thin(points: NDArray, normals: NDArray, width: float) -> NDArray[np.int64]:
-    """Return the indices of one point in each occupied cube of a grid, and of a second point if the
-    cube also contains the other side of a thin sheet.
+    """Return the indices of one point in each cube of a grid that contains points. A cube that
+    contains both sides of a thin sheet gets a second point.
     """
     _, cube = np.unique(np.floor(points / width)[:, ::-1], axis=0, return_inverse=True)
     cube = cube.ravel()
@@ -125,8 +125,8 @@ def _nearest_to_middle(points: NDArray, cube: NDArray, width: float) -> NDArray[
 
 
 def _spread(points: NDArray, normals: NDArray) -> NDArray[np.float64]:
-    """Return 0.75 times the mean distance [m] from each point to six near points of the same
-    side [N].
+    """Return 0.75 times the mean distance [m] from each point to its six nearest neighbours [N],
+    without points on the opposite side of a thin sheet.
     """
     near, index = scipy.spatial.KDTree(points).query(points, k=min(13, len(points)))
     other = (normals[index] * normals[:, None]).sum(axis=2) < -0.5
@@ -137,7 +137,7 @@ def _spread(points: NDArray, normals: NDArray) -> NDArray[np.float64]:
 
 
 def _area(half: NDArray) -> float:
-    """The surface area [m^2] is that of a box; other shapes have less area."""
+    """Return the surface area [m^2] of a box with half the sides `half`; other shapes have less."""
     a, b, c = 2 * half
     return float(2 * (a * b + b * c + c * a))
 

@@ -15,8 +15,8 @@ from phy124.particles import clean, visible_area
 SAMPLE = 100_000
 """Number of Gaussians that are examined."""
 MOST = 0.8
-"""Fraction of the visible area, or of the Gaussians below a sky, that is assumed to belong to the
-object.
+"""Fraction that is assumed to belong to the object: of the visible area or, if there is a sky, of
+the Gaussians that do not belong to the sky.
 """
 SMALL = 0.3
 """A background is reported if the object's longest side is below this fraction of the box around
@@ -25,7 +25,7 @@ all Gaussians.
 AROUND = 1.25
 """Size of the recommended crop box, relative to the object."""
 TAIL = 1e-3
-"""Fraction of the Gaussians that are outliers at each end of each axis."""
+"""Fraction of the Gaussians that is ignored as outliers at each end of each axis."""
 ROUNDS = 4
 """Number of iterations for the object's centre."""
 FAR = 3.0

@@ -1,4 +1,4 @@
-"""Opens PNG, TIFF and HEIC files without metadata that would make Pillow fail if damaged."""
+"""Opens PNG, TIFF and HEIC files without the metadata that can make Pillow fail."""
 
 import io
 import struct
@@ -12,7 +12,7 @@ from PIL.TiffImagePlugin import TiffImageFile
 TIFF_BEGINNINGS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 PNG_START = 8
 CHUNK_FRAME = 12
-"""Length, kind and checksum of a PNG chunk [bytes]."""
+"""Size of a PNG chunk without its data: length, kind and checksum [bytes]."""
 TRANSPARENCY = b"tRNS"
 """The only optional chunk of a PNG file that changes the pixels."""
 USEFUL = (b"iCCP", b"eXIf", b"acTL", b"fcTL")
@@ -35,10 +35,10 @@ def strip_png(data: bytes) -> bytes:
 
 
 class PlainTiff(TiffImageFile):
-    """A TIFF image that Pillow does not rotate, because Pillow would fail if EXIF is damaged."""
+    """A TIFF image that Pillow does not rotate; with damaged EXIF data, the rotation would fail."""
 
     def load_end(self) -> None:
-        """Do nothing, because Pillow would rotate the image."""
+        """Do nothing; Pillow's own method would rotate the image."""
 
 
 def open_tiff(data: bytes) -> TiffImageFile:

@@ -406,8 +406,8 @@ METHODS: dict[str, Method] = {
     "u2netp": Method(lambda _: True, u2net.find_alpha_small, "the small U2-Net"),
     "grabcut": Method(lambda _: True, _grabcut, "GrabCut"),
 }
-"""The first applicable method is preferred."""
+"""Methods by name; "auto" chooses the first method that applies to the image."""
 NETWORKS = (*salient.NETWORKS, "u2net", "u2netp")
 TAKEN_WHOLE = ("alpha", "mask")
-"""Methods by which all pieces are kept, because a person made the mask."""
+"""Methods whose mask a person made; all pieces of such a mask are kept."""
 PAINTED = {"mask": "the mask", "brush": "brush strokes"}

@@ -20,10 +20,12 @@ MAX_PIXELS = 50_000_000
 ANIMATED = ("PNG", "WEBP", "GIF", "AVIF")
 """Formats in which images after the first are frames of an animation, not thumbnails or pages."""
 MAX_SCANS = 100
-"""A usual JPEG file has 1 to 10 scans. A file of 8 MB can have 190,000 scans of 18 ms each."""
+"""Files with more scans are refused. A usual JPEG file has 1 to 10 scans. A file of 8 MB can have
+190,000 scans of 18 ms each.
+"""
 SCAN, END = b"\xda", b"\xd9"
 SIXTEEN = ("I;16", "I;16B", "I;16L", "I;16N", "I")
-"""Modes of 16-bit grey images, whose values Pillow would clip instead of scaling them."""
+"""Modes of 16-bit grey images. Pillow would clip their values instead of scaling them."""
 ORIENTATION = 0x0112
 TURNS = {
     2: Image.Transpose.FLIP_LEFT_RIGHT,

@@ -32,7 +32,8 @@ TOKENS = 1800
 """Number of patches of MoGe-2; its authors suggest 1200 to 3600."""
 DETAIL = 256
 TRUST = 0.02
-"""Weight of the network's depth, relative to slopes from the network's normals.
+"""Weight of the depth that a network estimates, relative to the slopes that follow from its
+normals.
 
 Features larger than 1/sqrt(TRUST) pixels follow the depth, and smaller features follow the normals.
 """

@@ -15,7 +15,9 @@ COLOURS = 6
 KEEP = 0.12
 """Smallest area of a piece that is kept, relative to the largest piece."""
 PINHOLE = 0.004
-"""Largest area of a closed hole, relative to the object's area; gaps in handles stay open."""
+"""Holes up to this area are closed, relative to the object's area. Larger holes, such as the gap in
+a handle, stay open.
+"""
 SOFTNESS = 4
 """Radius of the guided filter that softens the object's edge [pixels]."""
 HINT_REACH = 0.06

@@ -28,15 +28,18 @@ WIDE = 0.2
 ASPECTS = (0.08, 0.6)
 """Allowed ratios of a rim's height to its width."""
 FIT = 0.025
-"""Largest mean distance of the outline from the rim's back half, relative to half the width."""
+"""Largest mean distance of the outline from the rim's back half, relative to half the rim's width.
+"""
 FRONT = 0.95
 """Smallest fraction of the rim's front half at which the image has an edge."""
 EDGE = 2.0
 """Smallest colour gradient at an edge, in CIE Lab units per pixel."""
 ACROSS = np.linspace(-0.85, 0.85, 41)
-"""Positions of samples, relative to half the rim's width; the ends are not sampled."""
+"""Positions across a rim at which the outline is sampled, relative to half the rim's width."""
 NEARER = (0.9, 1.0, 1.1, 1.2)
-"""Heights of the rim's front half, relative to the back half; perspective enlarges the front."""
+"""Heights that are tried for the rim's front half, relative to the back half. Perspective enlarges
+the front half.
+"""
 
 
 def find_hollow(rgb: NDArray[np.uint8], solid: Solid) -> Iterator[str]:

@@ -44,7 +44,7 @@ ANY_FORMAT = (*FORMATS, "GIF", "BMP", "TIFF", "PPM")
 PHOTOGRAPH = Purpose(FORMATS, MIN_SIDE)
 MEMORY = 2 << 30
 DEADLINE = isolated.Deadline(30.0)
-"""Decoding a photograph of 12 million pixels takes one second."""
+"""Time limit for decoding an image. A photograph of 12 million pixels takes one second."""
 
 
 def open_image(

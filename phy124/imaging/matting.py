@@ -13,7 +13,9 @@ REACH = 5
 SMOOTH = 1e-4
 """Edges are ignored if the variance of their colours (0..1) is below this value."""
 DECIDED, SHARP = 2.0, 1.5
-"""Factors that increase alpha's distance from 1/2, in the coarse mask and in the fitted alpha."""
+"""Factors by which the distance of alpha from 1/2 is multiplied: in the coarse mask, and in the
+fitted alpha.
+"""
 OPAQUE = 243
 """Pixels with at least this alpha, 0..255, are assumed to contain no background colour."""
 INSET = 1.0

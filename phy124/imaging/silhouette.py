@@ -25,7 +25,9 @@ FAINT = 2.0
 WIDE = 2.0
 """Half the width of a soft edge [pixels]."""
 FITTED = 640
-"""In images with a longer side than this [pixels], edges are wider than `WIDE` in proportion."""
+"""If the longest side of an image exceeds this [pixels], soft edges are wider than `WIDE` by the
+same factor.
+"""
 HALF = 25
 AROUND = 0.125
 """Width of the examined strip around an object, relative to the image's longest side."""

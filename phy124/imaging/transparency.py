@@ -4,7 +4,9 @@ import numpy as np
 from PIL import Image
 
 REAL = 0.005
-"""In a cut-out, at least this fraction is opaque, and at least this fraction is transparent."""
+"""In a cut-out, at least this fraction of the pixels is opaque, and at least the same fraction is
+transparent.
+"""
 FAINTEST = 8
 """An image counts as empty if its largest alpha (0 to 255) is below this value."""
 
@@ -30,6 +32,8 @@ def make_solid(image: Image.Image) -> Image.Image:
 
 
 def _most_opaque(image: Image.Image) -> int:
-    """Return the largest alpha, 0..255; the most opaque pixels are ignored (fraction `REAL`)."""
+    """Return the largest alpha, 0..255, of all pixels except the fraction `REAL` with the highest
+    alpha.
+    """
     alpha = np.asarray(image.convert("RGBA").getchannel("A"))
     return int(np.quantile(alpha, 1 - REAL, method="lower"))

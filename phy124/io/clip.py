@@ -29,7 +29,9 @@ VERSION = "1"
 MOTION = "2"
 """Version of a clip's file that stores a motion, which determines the Gaussians of each frame."""
 SPARE = " " * 8192
-"""Spaces in the header of a clip's file; a longer report can later take their place."""
+"""Number of spaces in the header of a clip's file. They leave room for a report that is longer than
+the first one.
+"""
 SMALL = 64e6
 """Files up to this size [bytes] are read into memory; larger files are memory-mapped."""
 REQUIRED = ("means", "quats", "scales", "opacities", "sh", "times")
@@ -63,7 +65,8 @@ class Clip:
     rotations: Array | None = None
     """Rotations of the material relative to its rest state [T,N,4], wxyz.
 
-    None if colours do not depend on the view. Computed by the polar decomposition of F.
+    None if colours do not depend on the view. The rotations are computed by the polar decomposition
+    of F.
     """
     velocities: Array | None = None
     """Velocities of the centres [T,N,3], m/s; None if the scene did not request velocities."""
@@ -178,7 +181,7 @@ class Clip:
 
     @property
     def surface(self) -> Clip:
-        """A copy of the clip without grains, whose number depends on the accuracy."""
+        """A copy of the clip without grains. The number of grains depends on the accuracy."""
         grains = self.report.get("grains", 0)
         if not grains:
             return self
@@ -445,7 +448,9 @@ def _write_metadata(path: Path, metadata: Mapping[str, str]) -> bool:
 
 
 def _open_tensors(path: Path) -> dict[str, NDArray]:
-    """If another program shortens a memory-mapped file, the system ends the reading process."""
+    """Return the arrays of a safetensors file; large files are memory-mapped. If another program
+    shortens such a file, the system ends the process that reads it.
+    """
     small = path.stat().st_size <= SMALL
     data = np.fromfile(path, np.uint8) if small else np.memmap(path, np.uint8, "r")
     first = 8 + int.from_bytes(data[:8].tobytes(), "little")

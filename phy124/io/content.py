@@ -307,7 +307,9 @@ def assign_objects(
 
 
 FAR = 4
-"""float32 is precise enough if an object is at most this many object sizes from the origin."""
+"""float32 is precise enough if an object's distance from the origin is at most this many times its
+size.
+"""
 FINE = 20_000
 """float32 is precise enough if it divides the object's size into at least this many increments."""
 COARSE = 4000
@@ -352,7 +354,9 @@ def move_back(
 
 
 def step_of(means: NDArray) -> float:
-    """Return the spacing of float32 numbers at centres [N,3], or 0 for double precision."""
+    """Return the spacing of float32 numbers at centres [N,3]; 0 if the centres have double
+    precision.
+    """
     some = _some(means)
     if not len(some) or not np.array_equal(some, some.astype(np.float32)):
         return 0.0

@@ -17,7 +17,7 @@ from phy124.io.ply import CENTRE, DC, QUATS, SCALES, VERTICAL
 from phy124.io.plyheader import Header, read_header
 
 ENOUGH, BLOCKS = 10_000, 20
-"""Number of sampled rows, and number of blocks of adjacent rows that they form."""
+"""About `ENOUGH` rows of a file are sampled, in `BLOCKS` blocks of adjacent rows."""
 LGM = (*CENTRE, *DC, "opacity", *SCALES, *QUATS)
 NORMALS = ("nx", "ny", "nz")
 SIGNED = ("phy124", "SuperSplat")
@@ -89,7 +89,7 @@ def likely_dialect(path: Path) -> tuple[str, str] | None:
 
 
 def _some_rows(path: Path, header: Header) -> NDArray:
-    """If the file is short, rows may repeat."""
+    """Return a sample of the file's rows; a short file's rows may be returned repeatedly."""
     each = min(header.count, ENOUGH // BLOCKS)
     firsts = np.linspace(0, header.count - each, BLOCKS).astype(int).tolist()
     places = [header.start + first * header.row.itemsize for first in firsts]

@@ -85,9 +85,9 @@ def is_stream(path: Path) -> bool:
 def create_temporary(path: Path) -> Path:
     """Create an empty temporary file, which `move_to` moves to `path` when it is complete.
 
-    The temporary file keeps the extension of `path`, because some writers need the extension. It is
-    in the folder of the resolved path, or in the system's temporary folder if `path` is a device or
-    pipe.
+    The temporary file keeps the extension of `path`, because some writers need the extension. The
+    temporary file is in the folder of the resolved path or, if `path` is a device or pipe, in the
+    system's temporary folder.
 
     Raises:
         OSError: If no file can be written in that folder.
@@ -204,7 +204,7 @@ def staging(out: PathLike, *, keeps: bool = False, alone: bool = False) -> Itera
 
 @contextmanager
 def naming_full_disk(folder: Path) -> Iterator[None]:
-    """Within this block, make errors about a full disk name the folder to which the block writes.
+    """Within this block, errors about a full disk name the folder to which the block writes.
 
     An error that names a file outside the folder is not changed.
 

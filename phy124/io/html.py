@@ -80,8 +80,8 @@ def pack(
         camera: The camera for the initial view; its image size is ignored.
         background: Colour behind the Gaussians [3], 0..1.
         stage: The stage that is drawn in place of the background.
-        shine: Data about the reflective Gaussians, whose shapes in the clip are already adapted to
-            reflections; None: nothing reflects.
+        shine: Data about the reflective Gaussians; None: nothing reflects. The shapes of these
+            Gaussians in `clip` are already adapted to reflections.
 
     Raises:
         InputError: If the clip is empty.
@@ -155,8 +155,8 @@ def write_html(
         title: Title of the page.
         background: Colour behind the Gaussians [3], 0..1.
         stage: The stage that is drawn in place of the background.
-        shine: Data about the reflective Gaussians, whose shapes in the clip are already adapted to
-            reflections; None: nothing reflects.
+        shine: Data about the reflective Gaussians; None: nothing reflects. The shapes of these
+            Gaussians in `clip` are already adapted to reflections.
         viewer: Folder that contains the player's scripts.
 
     Raises:

@@ -129,7 +129,9 @@ def read_columns(path: Path, table: NDArray[Any]) -> tuple[Columns, list[str]]:
 def _group(
     table: NDArray[Any], names: tuple[str, ...], kind: type[np.floating] = np.float32
 ) -> NDArray[Any]:
-    """Copy columns to an array [N,len(names)]; doubles that exceed float32 become infinite."""
+    """Copy columns to an array [N,len(names)]; values that are too large for `kind` become
+    infinite.
+    """
     out = np.empty((len(table), len(names)), kind)
     with np.errstate(over="ignore", invalid="ignore"):
         for i, name in enumerate(names):

@@ -8,8 +8,8 @@ import warp as wp
 
 SWEEPS = wp.constant(24)
 IDENTITY_ZONE = wp.constant(wp.float64(2.414))
-"""Trace of a rotation by 45 degrees. A Gaussian's axes keep their order if the rotation since the
-previous frame has a larger trace.
+"""Trace of a rotation by 45 degrees. If a Gaussian has rotated by a smaller angle since the
+previous frame, its axes keep their order.
 """
 
 

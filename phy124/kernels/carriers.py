@@ -8,7 +8,7 @@ CARRIERS = 8
 """Number of particles that carry each Gaussian."""
 CHOSEN = wp.constant(CARRIERS)
 FAR = wp.constant(wp.float64(1e300))
-"""Squared distance of a missing neighbour."""
+"""Stands for the squared distance of a neighbour that does not exist."""
 SPARE = wp.constant(wp.float64(1e-9))
 """Lower bound of a particle's weight. Without this bound, particles at equal distances from a
 Gaussian would all have weight 0.

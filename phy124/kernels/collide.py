@@ -1,9 +1,9 @@
 """Colliders: between the grid update and the gather, nodes near a wall respond to the wall.
 
 `make_contact` enforces contact exactly at the wall (docs/design/contact.md). At a curved wall,
-columns of nodes cross, so `make_settle` adds the mean of the changes that the columns request. The
-sum of equal changes would squeeze bodies flat. `make_collider` lets each node respond alone, for
-regions that are fixed only in some directions.
+columns of nodes cross, so `make_settle` adds the mean of the changes that the columns request. If
+the changes were summed instead, bodies would be squeezed flat. `make_collider` lets each node
+respond alone, for regions that are fixed only in some directions.
 """
 
 from typing import Any
@@ -58,7 +58,8 @@ def add_wish(changes_out: wp.array(dtype=Any), n: int, change: Any):
 
 
 FLAT = {"half_space"}
-"""Shapes with a constant normal. At such a wall, each node belongs to a single column."""
+"""Shapes of walls whose normal is constant. At such a wall, each node belongs to a single column.
+"""
 
 
 @build_once

@@ -98,8 +98,8 @@ def relative(q0: Any, q1: Any, q2: Any, wall: Any):
 
 @wp.func
 def narrow(m: Any, farther: Any, u: Any):
-    """Return the factor by which a body's mass on the next node towards a wall falls as the body
-    narrows.
+    """Return the factor by which the narrowing of a body reduces its mass on the next node towards
+    a wall.
 
     `m` is the body's mass on a node u cells in front of the wall, and `farther` the mass on the
     next node away from the wall. If the cross-section grows with a power of the distance, the ratio
@@ -201,7 +201,9 @@ def either_way(pressed: Any):
 
 @wp.func
 def add_rows(nodes: wp.array(dtype=Any), first: int, step: int, m: Any, change: Any, fourth: Any):
-    """Add velocity changes [node, axis], and a fourth component, to the nodes with mass."""
+    """Add velocity changes [node, axis] to the nodes with mass, and `fourth` to their fourth
+    component.
+    """
     for row in range(3):
         if m[row] > type(m[row])(0.0):
             nodes[first + row * step] += wp.vector(

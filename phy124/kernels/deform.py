@@ -3,7 +3,8 @@
 Jacobi rotations (see `axes`) make the columns of A = F R0 S0 V orthogonal. The directions of the
 columns are then the axes of F Sigma0 F^T, and their lengths are the scales. Columns that are
 orthogonal to within `TOLERANCE` are not changed, so axes of equal length move with the material
-instead of flickering. The thin axes of needles would be lost if Sigma itself were decomposed.
+instead of flickering. If Sigma itself were decomposed, the thin axes of needle-shaped Gaussians
+would be lost.
 """
 
 from typing import Any
@@ -32,11 +33,13 @@ LARGEST = wp.constant(wp.float64(3.0e38))
 TINY = wp.constant(wp.float64(1e-12))
 SOUND_SHAPE = wp.constant(wp.float64(1.5))
 ROUND_SHAPE = wp.constant(wp.float64(4.0))
-"""Elongation, relative to rest, at which a Gaussian of plastic or fluid material is a ball."""
+"""A Gaussian of plastic or fluid material becomes a ball if its elongation, relative to rest,
+reaches this value.
+"""
 
 ARM = wp.constant(wp.float64(2.0))
-"""Upper bound of the distance between a Gaussian of plastic or fluid material and a carrying
-particle, relative to rest.
+"""Upper bound of the distance between a Gaussian of plastic or fluid material and a particle that
+carries it, relative to their distance at rest.
 """
 
 

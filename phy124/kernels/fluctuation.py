@@ -1,4 +1,5 @@
-"""Controls the damping of the transfers: FLIP, AFLIP and XPIC reduce it, and RPIC increases it.
+"""Controls the damping of the transfers: FLIP, AFLIP and XPIC reduce the damping; RPIC increases
+it.
 
 The fluctuation is (v, C) minus (v, C) after a round trip over the grid, D = 1 - S S^+ (Hammerquist
 and Nairn 2017). APIC discards the fluctuation in every substep. C makes the round trip together
@@ -41,7 +42,9 @@ def make_carry(real: Any, form: str):
 
 @build_once
 def make_fluctuation(real: Any, form: str):
-    """Kernel: computes what a transfer to the grid and back loses of (v, C); 0 outside the grid."""
+    """Kernel: computes the part of (v, C) that a transfer to the grid and back loses; 0 outside the
+    grid.
+    """
     t = types(real)
     collect = GATHERS[form]
 

@@ -12,9 +12,9 @@ import warp as wp
 MIN_J = wp.constant(1.0e-4)
 """Volume ratio of a fluid below which the pressure no longer rises."""
 TAIT_J = wp.constant(0.8)
-"""Volume ratio below which J p rises only as log J. Impacts faster than a quarter of the speed of
-sound can compress a few particles further; their pressure would shorten the substeps of all
-particles.
+"""Below this volume ratio, J p is linear in log J. Impacts faster than a quarter of the speed of
+sound can compress a few particles below this volume ratio. The full pressure of these particles
+would shorten the substeps of all particles.
 """
 
 

@@ -1,4 +1,4 @@
-"""Forces on particles before the scatter: accelerations, wrenches, pulls, and a force for a test.
+"""Forces on particles before the scatter: accelerations, wrenches, pulls, and a force for tests.
 
 The kick is the time step of velocities [s], and `chosen` the particles on which a force acts. The
 track `slot` is the force's strength, averaged over the kick and zero while the force does not act.

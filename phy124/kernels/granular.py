@@ -22,7 +22,9 @@ HARDEST = wp.constant(4.0)
 CLOSE = wp.constant(0.1)
 """Largest |F F^T - I|^2 for which the strain is computed in the precision of F."""
 LOOSEST = wp.constant(1.0e6)
-"""Upper limit of snow's plastic volume ratio Jp, which would overflow in scattered snow."""
+"""Upper limit of snow's plastic volume ratio Jp. Without a limit, Jp would overflow in scattered
+snow.
+"""
 
 
 @wp.func

@@ -25,9 +25,9 @@ NARROWEST = wp.constant(0.05)
 1/2 at an edge of a body and 1/4 at a corner.
 """
 ROUNDING = wp.constant(0.375)
-"""Largest closed gap at a node, relative to the sum of the four neighbours' gaps, each minus the
-node's gap. The curvature of a gap between two splines would give 1/4; the value is fitted to
-measurements with balls (docs/lab/contact-force.md).
+"""A gap at a node counts as closed up to this fraction of a sum over four neighbours: each
+neighbour's gap, minus the node's gap. The curvature of a gap between two splines would give 1/4;
+the value is fitted to measurements with balls (docs/lab/contact-force.md).
 """
 STEEPER = wp.constant(10.0)
 """Weight of the steeper of two slopes in the contact normal; 0: the mean of both slopes."""

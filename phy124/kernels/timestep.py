@@ -32,7 +32,9 @@ class Limits:
     dx: wp.float64
     """Grid spacing [m]."""
     reach: wp.float64
-    """Courant number times the grid spacing [m]; divided by the wave speed, the elastic limit."""
+    """Courant number times the grid spacing [m]. Divided by the wave speed, it is the elastic limit
+    of a substep.
+    """
     stride: wp.float64
     """Largest distance that a particle may move in a substep [m]."""
     turn: wp.float64
@@ -46,7 +48,9 @@ class Limits:
     acceleration: wp.float64
     """Upper bound of the acceleration of a particle by all forces [m/s^2]."""
     memory: wp.float64
-    """Fraction of an earlier measured stiffness that is a lower bound of the stiffness."""
+    """After a measurement, the assumed stiffness is at least this fraction of the stiffness that
+    was assumed before.
+    """
     strain: wp.float64
     """Sum of |C| dt after which control returns to the host."""
     most: wp.int32

@@ -18,7 +18,9 @@ class Layout(NamedTuple):
     node: NDArray[np.int64]
     """Index of the distinct node that is stored at each position in memory [N]."""
     home: NDArray[np.int64]
-    """Main position in memory of each distinct node [D]."""
+    """For each distinct node, the position in memory that stands for the node [D]. At all other
+    positions, the node is repeated.
+    """
     rows: NDArray[np.int64]
     """For each cell, positions in memory of its nine rows of three nodes along z [C,9]."""
 

@@ -54,7 +54,9 @@ DEEP, EXACT = 0.1, 1e-3
 correction displaces a point by more than `EXACT` [cells].
 """
 STEP = 0.5
-"""Step of the distance from a wall up to which surface points are listed [cells]."""
+"""Points are listed before they come close to a wall. Their largest approach until the next
+measurement is rounded up to a multiple of this [cells].
+"""
 RESTORE = {"separate": 0.65, "slip": 0.13, "sticky": 0.13}
 """Speed at which surface points inside a wall are moved out, divided by their depth. The unit of
 this ratio is (pi / 2 H)^2 / dt for a body with a height of H cells and for substeps dt at rest. The

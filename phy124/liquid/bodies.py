@@ -182,8 +182,8 @@ class Bodies(Kept):
             wp.zeros(count, dtype=self._model.real, device=device) for _ in range(2)
         )
         self._shares, self._vacant = wp.zeros_like(cells.shares), wp.zeros_like(cells.eighths)
-        """Without bodies: fractions of B-splines inside walls, and open fractions of octants of
-        cells.
+        """Fractions of B-splines inside walls, and open fractions of the octants of cells, both
+        without the bodies.
         """
         self.pressed, self._change, self._contact = (
             wp.zeros(count, dtype=t.vec3, device=device) for _ in range(3)

@@ -28,11 +28,11 @@ upright.
 OVERLAP = 0.93
 """Smallest overlap (IoU) of the silhouette with the ring's image."""
 FACING = 0.2
-"""Smallest cosine between the normal and the view ray at which a point gets the image's colour."""
+"""A point gets the image's colour if its normal and the view ray have at least this cosine."""
 SECTION = np.linspace(0, 2 * np.pi, 65)
 """Angles around the section; 0 is outside, a quarter turn is above [radians]."""
 ROUND, SQUARE = 1.0, 0.2
-"""Exponents of cosine and sine for an ellipse and for a rounded rectangle."""
+"""Exponents of the cosine and the sine in `Ring.path`: an ellipse, and a rounded rectangle."""
 AROUND = np.linspace(0, 2 * np.pi, 129)
 """Angles around the axis; 0 points to the camera [radians]."""
 
@@ -73,7 +73,7 @@ class Ring:
         return self.camera.pixels(points).reshape(len(AROUND), len(SECTION), 2)
 
     def edges(self) -> Field:
-        """Return half the width, the top and the bottom of the outline, then of the hole [6]."""
+        """Return half the width, top and bottom of the outline, then the same of the hole [6]."""
         column, row = np.moveaxis(self.image(), 2, 0)
         across = np.linspace(0, column.max(), len(AROUND))
         quarter = len(AROUND) // 4
@@ -180,7 +180,9 @@ def find_ring(
 
 
 def _edges(object_mask: Mask, middle: Field) -> Field | None:
-    """Return the edges in the form of `Ring.edges`; None without exactly one hole."""
+    """Return a silhouette's edges in the order of `Ring.edges`; None unless it has exactly one
+    hole.
+    """
     holes, number = scipy.ndimage.label(~np.pad(object_mask, 1))  # pyright: ignore
     if number != 2:
         return None
@@ -193,8 +195,8 @@ def _edges(object_mask: Mask, middle: Field) -> Field | None:
 
 
 def _lines(across: Field, column: Field, row: Field, beyond: float) -> Field:
-    """Return the row [S,C] at which each line [A,S] crosses each column; `beyond` is the row beyond
-    a line's end.
+    """Return the row [S,C] at which each line [A,S] crosses each column; columns to the right of a
+    line's end get the row `beyond`.
     """
     lines = zip(np.maximum.accumulate(column, axis=0).T, row.T, strict=True)
     return np.stack([np.interp(across, *line, right=beyond) for line in lines])

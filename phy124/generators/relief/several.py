@@ -23,7 +23,7 @@ from phy124.generators.relief.surface import VIEW_DISTANCE
 Field = NDArray[np.float64]
 Facing = Literal["left", "right"]
 IMAGINED = 0.3
-"""Weight of a side with invented colours."""
+"""Weight of the image of a side whose colours are invented."""
 BACK_PLACE = 1
 
 
@@ -45,7 +45,7 @@ def from_sides(
         side: Image of the object from one side.
         facing: Direction of the object's front in `side`.
         back: Image of the object from behind.
-        look: Look of the back without an image from behind.
+        look: How the back looks if there is no image from behind.
         count: Approximate number of points.
         rng: Random number generator.
         step: Called with the number of finished steps.
@@ -81,9 +81,9 @@ def from_sides(
 def _show_sides(front: Continued, side_picture: Continued, look: BackLook) -> list[Shown]:
     """Return the images of the front, the back and both sides.
 
-    The object is assumed to be symmetric about the plane that the more symmetric image shows
-    edge-on. The other image is then mirrored for the opposite side. The side that no image shows
-    gets invented colours.
+    The object is assumed to be symmetric about a vertical plane. The image with the more symmetric
+    outline shows this plane edge-on; the other image is mirrored for the opposite side. A side that
+    no image shows gets invented colours.
     """
     pictures = []
     for picture, towards, across in ((front, FRONT, ACROSS), (side_picture, ACROSS, FRONT)):

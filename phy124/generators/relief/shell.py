@@ -14,7 +14,7 @@ TANGENT = 0.58
 holes.
 """
 BACK_REACH = 1.25
-"""Factor of the standard deviation along the surface on the back."""
+"""Factor on the standard deviation along the surface for Gaussians on the back."""
 NORMAL = 0.12
 """Standard deviation across the surface, relative to the points' spacing. A small value makes the
 outline sharp.

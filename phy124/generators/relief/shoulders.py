@@ -1,7 +1,8 @@
 """Finds the flat upper edge of a body from which other parts rise, such as the rim of a flower pot.
 
-A solid that is rounded at this edge would have a sharp ridge. The silhouette is therefore cut at
-the edge, body and parts are inflated separately, and a horizontal plane closes the body.
+A solid that is rounded everywhere would have a sharp ridge at this edge. The silhouette is
+therefore cut at the edge, body and parts are inflated separately, and a horizontal plane closes the
+body.
 """
 
 from dataclasses import dataclass
@@ -22,15 +23,15 @@ HEIGHT = 0.03
 SLOPE = 0.25
 """Largest mean slope of the edge."""
 COVERED = 0.5
-"""Smallest visible fraction of the edge, and of the edge at each side."""
+"""At least this fraction of the edge must be visible, and of its parts near both ends."""
 SIDE = 0.12
-"""Width of a side, relative to the body's width."""
+"""Length of the edge near an end, relative to the body's width."""
 WIDE = 0.35
 """Smallest width of the body, relative to the object's width."""
 LOW = 0.35
 """Smallest height of the body below the edge, relative to the body's width."""
 LENGTH = 0.2
-"""Height of the body's mirror image, relative to the image."""
+"""Height of the part of the body that is mirrored above the cut, relative to the image."""
 THINNEST = 1.0
 """Smallest half thickness of the body at the edge [pixels]."""
 
@@ -66,7 +67,7 @@ class Shoulder:
         return np.concatenate([above, longer, gap, mirrored, below])
 
     def join(self, parts: Field, alpha: Field) -> Field:
-        """Combine values [H+N,W] of the separate parts to values [H,W]."""
+        """Undo `separate`: combine values [H+N,W] of the parts and the body into values [H,W]."""
         below = parts[len(parts) - len(alpha) :]
         above = np.pad(parts[: self.row], ((0, len(alpha) - self.row), (0, 0)))
         return np.where(alpha > 0.5, np.where(self._rises(alpha), above, below), 0.0)
@@ -74,8 +75,8 @@ class Shoulder:
     def close(self, surface: Surface, view: View, alpha: Field) -> Surface:
         """Return a surface on which the body ends at a horizontal plane with a rounded rim.
 
-        If the plane is above the camera, the image shows the plane's front edge, otherwise the back
-        edge.
+        If the plane is above the camera, the image shows the plane's front edge; otherwise, it
+        shows the plane's back edge.
         """
         rows, inside = np.arange(len(alpha))[:, None], surface.w > 0
         body = np.isfinite(self.edge) & ~self._rises(alpha) & inside
@@ -137,7 +138,9 @@ def find_shoulder(picture: Continued) -> Shoulder | None:
 
 
 def _is_body(solid: Mask, row: int, first: int, last: int, depth: int) -> bool:
-    """Whether columns are the upper end of a high body that is hardly wider `depth` rows below."""
+    """Whether the columns `first` to `last` of a row are the upper end of a high body. `depth` rows
+    below, the body must hardly be wider.
+    """
     start, end = _longest_run(solid[row + depth])
     if last - first < CORNERED * (end - start):
         return False

@@ -50,12 +50,16 @@ from phy124.generators.relief.thin import circles_on_ground, find_thin
 from phy124.generators.relief.vessel import vessel_shell
 
 CARD = 0.12
-"""Largest half thickness of a card, relative to the image's size; thicker slabs are blocks."""
+"""Largest half thickness of a slab that counts as a card, relative to the image's size. Thicker
+slabs are blocks.
+"""
 SHEET = 0.05
-"""Largest half thickness of a card or of an object with a border, relative to the image's size."""
+"""Half thickness to which cards and objects with a border are limited, relative to the image's
+size.
+"""
 BLOCK = 0.8
-"""Largest depth behind a block's rim over which the colours change to the back, relative to half
-the block's depth.
+"""Behind a block's rim, the colours change gradually to those of the back. This is the largest
+depth of this change, relative to half the block's depth.
 """
 
 Field = NDArray[np.float64]
@@ -87,7 +91,7 @@ def from_front(
         step: Called with the number of finished steps.
         depth: Depth map of the image; None: the front is inflated like the back.
         back: Image of the object from behind.
-        look: Look of the back without an image from behind.
+        look: How the back looks if there is no image from behind.
         thickness: Factor of the guessed depth.
         shape: Kind of solid; "auto": the most plausible one.
         elevation: Angle above the horizontal from which the picture was taken [degrees]; None:
@@ -139,7 +143,8 @@ def _inflated_shell(
 ) -> Shell:
     """Inflate the silhouette to a shell that the front camera sees.
 
-    A fifth channel of the image is the depth map. With legs, the image shows the body alone.
+    A fifth channel of the image is the depth map. If the object has legs, the image shows the body
+    alone.
     """
     view = View.of(work.object_mask if legs is None else legs.object_mask, VIEW_DISTANCE * WORK)
     shoulder = find_shoulder(work)
@@ -207,7 +212,7 @@ def _inflated_shell(
 
 
 def _sheet(half: Field | None, work: Continued) -> tuple[Field | None, float]:
-    """Return squared half thicknesses, or None for a card, and the largest half thickness.
+    """Return the squared half thicknesses (None for a card), and the largest half thickness.
 
     The largest half thickness is relative to the image's size, and 1 if there is no limit.
     """
@@ -225,8 +230,9 @@ def _parts_thickness(work: Continued, shoulder: Shoulder | None, legs: Legs | No
 def _legs_beside(rgba: Field) -> Legs | None:
     """Return the legs of an object that an image [H,W,4] shows from the side, or None.
 
-    A symmetric outline is assumed to be a front without legs, unless it is as wide as a car. Boxes,
-    objects with thin parts and scooters have no legs either.
+    A symmetric outline is assumed to show an object from the front, so no legs are returned, unless
+    the outline is as wide as a car. No legs are returned for boxes, objects with thin parts and
+    scooters either.
     """
     legs = find_legs(rgba)
     if legs is None or find_thin(legs.object_mask) or is_polygonal(legs.object_mask):
@@ -287,8 +293,8 @@ def _turn(elevation: float) -> Field:
 
 
 def _reach_behind(surface: Surface, slab: bool, flat: bool) -> float:
-    """Return the depth behind the rim over which the colours change to the back [pixels]; 0 for a
-    card.
+    """Return the depth behind the rim [pixels] over which the colours change gradually to those of
+    the back; 0 for a card.
     """
     deepest = float(np.sqrt(max(surface.w.max(), 0.0)))
     if slab and deepest <= CARD * WORK:
@@ -316,7 +322,9 @@ def _points(
     rng: np.random.Generator,
     alive: Callable[[], None],
 ) -> tuple[Field, Field, Field, list[Cap]]:
-    """Return points, normals and spacing, first of the walls, then of the caps, and the caps."""
+    """Return points, normals and spacing (first those of the walls, then those of the caps), and
+    the caps themselves.
+    """
     points, normals, spacing, pitch = spread(surface, work.ends, count, rng, alive)
     caps = [make_cap(surface, view, end, work.object_mask, pitch) for end in work.ends]
     kept = np.ones(len(points), bool)

@@ -35,7 +35,7 @@ their side.
 CONVEX = 0.93
 """Smallest area of a convex silhouette, relative to the convex hull."""
 OVERHANG = 3.0
-"""Largest ratio of depth to height of a brim, which limits features such as wings."""
+"""Largest ratio of depth to height of a part of the silhouette. It limits parts such as wings."""
 STRAIGHT = 0.98
 """Smallest overlap (IoU) of a straight-edged outline with a polygon."""
 CORNERS = 12
@@ -48,8 +48,8 @@ RIM = 3.0
 SHADED = 0.1
 """Smallest change of brightness across a shaded object, relative to the mean."""
 FRAME, LEAST_FRAME = 0.2, 4.0
-"""Largest width of a frame: relative to half the object's width, and in pixels. The larger width
-counts.
+"""Limits of the width of a frame: relative to half the object's width, and in pixels. The larger
+limit applies.
 """
 NOISE = 0.01
 """Noise of the brightness, relative to the mean."""
@@ -78,8 +78,8 @@ def inflate(
 def _straighten(surface: Surface, ends: tuple[End, ...]) -> Field:
     """Return the midsurface [H,W] without a ridge at flat ends.
 
-    A ball's midsurface is nearer to the camera where the ball is narrower. In an end's arc, only
-    the silhouette becomes narrower.
+    A ball's midsurface is nearer to the camera where the ball is narrower. At a flat end, only the
+    silhouette becomes narrower, so the midsurface must not follow it there.
     """
     rows, widths = np.arange(len(surface.m)), np.count_nonzero(surface.w > 0, axis=1)
     m = surface.m
@@ -215,7 +215,9 @@ def is_block(picture: Continued) -> bool:
 
 
 def _lathe(silhouette: Silhouette, picture: Continued) -> Field:
-    """A vessel's brim is as deep as it is wide at any height."""
+    """Return squared half thicknesses [H,W] of a solid of revolution, with thin parts limited by
+    `OVERHANG`. A vessel is not limited.
+    """
     inside, body = silhouette.inside, picture.body
     left, right = silhouette.sides()
     deepest = OVERHANG / 2 * _runs(inside)
@@ -252,9 +254,9 @@ def is_polygonal(object_mask: NDArray[np.bool_]) -> bool:
 def _is_shaded(picture: Continued, round_: Field) -> bool:
     """Whether the brightness changes as on a shaded round object.
 
-    The brightness is fitted by the normals' component towards the camera, because flat objects show
-    only gradients from side to side. Bands are removed by the median of each row, and frames are
-    excluded.
+    The brightness is fitted by the normals of a round object. Only the coefficient of the component
+    towards the camera counts, because flat objects may also be brighter at one side. Bands are
+    removed by the median of each row, and frames are excluded.
     """
     depth, _ = nearest_of(~picture.object_mask)
     seen = depth > max(LEAST_FRAME, FRAME * float(depth.max()))
@@ -279,15 +281,15 @@ def _is_shaded(picture: Continued, round_: Field) -> bool:
 def make_slab(
     picture: Continued, view: View, thickness: float = 1.0, most: float | None = None
 ) -> Surface:
-    """Return a slab with flat front and back; a square becomes a cube, and other shapes are
-    thinner.
+    """Return a slab with a flat front and a flat back; a square becomes a cube, and other shapes
+    are thinner.
 
     Args:
         picture: Mask of the object.
         view: The front camera.
         thickness: Factor of the guessed depth.
-        most: Largest half thickness of a thin slab before this multiplication [pixels]; the
-            smallest is half as large.
+        most: Largest half thickness before the multiplication by `thickness` [pixels]. The smallest
+            half thickness is half of it. None: no limits.
     """
     object_mask = picture.object_mask
     rows, columns = np.flatnonzero(object_mask.any(axis=1)), np.flatnonzero(object_mask.any(axis=0))
@@ -316,9 +318,13 @@ def make_slab(
 
 
 MIXED_RIM = 8.0
-"""Width of the zone along the rim in which depth maps mix object and background [pixels]."""
+"""Width of the strip along the rim in which a depth map mixes the depths of object and background
+[pixels].
+"""
 PLANE = 0.01
-"""Largest standard deviation of a flat front's depth, relative to the range of the depth."""
+"""A front is flat if the standard deviation of its depth is at most this fraction of the depth's
+range.
+"""
 THINNEST = 2.0
 """Smallest half thickness away from the rim [pixels]."""
 

@@ -63,9 +63,11 @@ class View:
 Field = NDArray[np.float64]
 Neighbours = NDArray[np.int32]
 BACK_PITCH = 1.5
-"""Spacing of points on the back, relative to the front; the back's colours are smooth."""
+"""Spacing of points on the back, relative to the spacing in front. It is larger because the back's
+colours are smooth.
+"""
 OVERHANG = 5.0
-"""Distance beyond the flat ends up to which points are distributed [pixels]."""
+"""Points are distributed up to this distance beyond the flat ends [pixels]."""
 TRIAL = 2.0
 """Spacing of the random points that measure the surface's area [pixels]."""
 ROUNDS = 6
@@ -75,8 +77,8 @@ ALIKE = 3
 
 
 def smooth(values: Field, weights: NDArray, width: float) -> Field:
-    """Average values [H,W] with weights [H,W] times a Gaussian kernel; the result is 0 without
-    weight.
+    """Average values [H,W] with a Gaussian kernel times the weights [H,W]; the result is 0 in
+    pixels whose weight is 0.
     """
     weights = weights.astype(np.float64)
     total = scipy.ndimage.gaussian_filter(values * weights, width)
@@ -244,10 +246,11 @@ def _between(points: Field, ends: Sequence[End], by: float = 0.0) -> NDArray[np.
 
 
 def _scatter(surface: Surface, pitch: float, rng: np.random.Generator) -> Field:
-    """Return random points near the surface, on average one per area pitch^2 on the front.
+    """Return random points near the surface: on the front, on average one point per area of
+    pitch^2.
 
-    A plane with normal n intersects |nx| + |ny| + |nz| cubes per unit square. Candidates, one per
-    cube, are removed at random by this factor.
+    A plane with normal n intersects |nx| + |ny| + |nz| cubes per unit square. Each of these cubes
+    provides one candidate, and candidates are removed at random to undo this factor.
     """
     halves = []
     for corner, low, high in _columns(surface, pitch):

@@ -29,12 +29,13 @@ Mask = NDArray[np.bool_]
 OVERLAP = 0.85
 """Smallest overlap (IoU) of the silhouette with the table's image."""
 CLEAR = 0.9
-"""Smallest overlap if the silhouette may also be an animal or a vehicle. Tables overlap by 0.97, a
-bison by 0.87.
+"""Smallest overlap if the silhouette may also be an animal or a vehicle. Silhouettes of tables have
+an overlap of 0.97, and that of a bison 0.87.
 """
 FIRST, MORE = 0.55, 0.05
-"""Smallest overlap of a coarse drawing from which a fit starts, and largest increase by the last
-fit. Drawings of tables overlap by at least 0.65, a dog by 0.5.
+"""A fit starts only from a coarse drawing with at least the overlap `FIRST`. The last fit is
+assumed to increase the overlap by at most `MORE`. Silhouettes of tables have an overlap of at least
+0.65 with a drawing, and that of a dog 0.5.
 """
 SIMPLER = 0.01
 """Smallest increase of the overlap for which a more complex table is chosen."""
@@ -47,13 +48,14 @@ BLUR = 1.5
 TRIED = 4
 """Number of coarse drawings from which fits start, for each item of `SEEN`."""
 ROUNDS, ATTEMPTS, DONE = 12, 4, 1e-3
-"""Largest numbers of rounds and of attempts in a round; each attempt takes a shorter step.
+"""Largest number of rounds, and largest number of attempts in a round; each further attempt takes a
+shorter step.
 
 A fit ends if the error decreases by less than the fraction `DONE`.
 """
 GAP, LEGS = 0.12, 0.5
-"""Smallest height of the gaps between legs, relative to the object's height, and largest width of
-all legs, relative to the object's width.
+"""Limits for rows of a silhouette that show legs: the smallest number of such rows, relative to the
+object's height, and the largest width of all legs together, relative to the object's width.
 """
 ELEVATIONS = np.radians([3.0, 14.0, 25.0, 40.0])
 QUARTER, FRONT = np.radians(np.arange(0, 90, 15)), np.radians(np.arange(-72, 90, 24))
@@ -63,28 +65,31 @@ SEEN = (
     (CHAIR, FRONT),
     (CHAIR, FRONT + np.pi),
 )
-"""Kinds of tables and directions of view [radians]."""
+"""Kinds of tables, and the directions from which they may be seen [radians]."""
 USUAL = Sizes(0, 0, 0, 0, 1, 1, 0.12, 0.08, 1, 1, 1, 1, 0.9, 0.95)
 """Usual proportions; lengths are relative to half the width of the top."""
 CERTAIN = Sizes(4, 0, 0, 0, 0, 1.5, 2, 3, 0, 0, 3, 3, 5, 5)
 """Weights of the usual proportions."""
 SQUARE_SEAT = 9.0
-"""Weight of a chair's usual depth, because seats are about square."""
+"""Weight of the usual depth for chairs, and for tops that are not rectangular. Seats are about
+square.
+"""
 STEPS = Sizes(0.02, 0.02, 1, 1, 1, 1, 1, 0.5, 1, 1, 1, 0.02, 0.02, 0.02)
-"""Changes that move edges in the image by about a pixel."""
+"""Changes of the sizes that move edges in the image by about a pixel."""
 LEAST = Sizes(0, -np.inf, -np.inf, -np.inf, 8, 8, 2, 1.5, 8, 4, 4, 0.6, 0.4, 0.4)
 MOST = Sizes(*[np.inf] * 14)._replace(elevation=0.7, rear=1.2, tops=1.0, feet=1.6)
 """Limits of the values."""
 HIGHEST = 0.69
-"""Largest elevation that a silhouette determines [radians]."""
+"""Largest elevation that can be estimated from a silhouette [radians]."""
 THIN = 0.5
-"""Largest thickness of a top, relative to the legs' length; cars have more."""
+"""Largest thickness of a top, relative to the legs' length; the body of a car is thicker."""
 SLENDER = 0.2
 """Largest half thickness of a leg, relative to half the top's side."""
 LOW = 0.3
 """Smallest height of the legs, relative to half the top's side."""
 INWARD = 0.9
-"""Smallest distance of the feet from the centre, relative to the legs' upper ends."""
+"""Smallest distance of the feet from the centre, relative to the distance of the legs' upper ends.
+"""
 
 
 def find_table(
@@ -162,7 +167,9 @@ class Goal:
         return (low + high) / 2 - self.middle, high - low + 1.0
 
     def overlap(self, table: Table, scale: int = COARSE) -> float:
-        """Return the overlap (IoU) of a table's image with the silhouette."""
+        """Return the overlap (IoU) of a table's image with the silhouette, without the pixels of
+        its holes.
+        """
         drawn = table.draw(self.solid.shape, self.middle, scale) > 0.5
         solid, known = (shrink(mask, scale) > 0.5 for mask in (self.solid, self.known))
         either = np.count_nonzero((drawn | solid) & known)
@@ -212,7 +219,9 @@ def _without_lip(table: Table) -> Table:
 
 
 def _complexity(table: Table) -> int:
-    """Return 0 for a round top, 1 for corners, 2 for a chair, 3 for a chair from behind."""
+    """Return 0 for a round top, 1 for a top with corners, 2 for a chair, 3 for a chair seen from
+    behind.
+    """
     away = table.kind.backed and np.cos(table.sizes.yaw) < 0
     return (len(table.kind.top) == len(SQUARE_TABLE.top)) + table.kind.backed + int(away)
 

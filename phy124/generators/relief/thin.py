@@ -40,8 +40,8 @@ LOWEST = 0.8
 WIDE = 1.5
 """Smallest ratio of width to height of wide wings."""
 COMPACT = (0.3, 0.85)
-"""Limits of the mean height at the axis, relative to the wings' height; wide wings may be lower.
-Faces and buses are higher.
+"""Smallest and largest mean height of the silhouette at the axis, relative to the wings' height.
+The smallest height does not apply to wide wings. Faces and buses are higher at the axis.
 """
 RADIUS = 0.265
 """Largest radius of a disc inside wings, relative to the object's size."""
@@ -50,9 +50,9 @@ SHEET = 0.025
 BODY = 0.06
 """Half thickness of the body between wings, relative to the object's size."""
 NARROW = 0.6
-"""Largest height of the narrow part before a fish's tail, relative to the body."""
+"""Largest height of the narrow part in front of a fish's tail, relative to the body's height."""
 FIN = 1.4
-"""Smallest height of the tail's fin, relative to the narrow part."""
+"""Smallest height of the tail's fin, relative to the narrow part's height."""
 FINNED = (0.25, 0.9)
 """Limits of the height of the tail's fin, relative to the body."""
 FORE = 0.53
@@ -66,7 +66,7 @@ KEEL = 0.4
 LONG = 1.1
 """Smallest ratio of a fish's length to its height."""
 DEEP = 0.5
-"""Smallest height of a fish's body, relative to the height with fins."""
+"""Smallest height of a fish's body, relative to the height of the silhouette with fins."""
 UNEVEN = 0.08
 """Largest increase of the height between body and tail, relative to the body."""
 OBLIQUE = 0.15
@@ -236,7 +236,7 @@ def find_fish(object_mask: Mask) -> Fish | None:
 
 
 def _swims(solid: Mask) -> bool:
-    """The silhouette [H,W] has no border, and the fish faces left."""
+    """Whether a silhouette [H,W] without an empty border shows a fish that faces left."""
     height, width = solid.shape
     filled = solid.sum(axis=0)
     heights = scipy.ndimage.uniform_filter1d(filled.astype(float), max(3, width // 60))

@@ -17,11 +17,14 @@ from numpy.typing import NDArray
 Field = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 CENTRED, EVERY = 0.04, 0.97
-"""Largest distance of a row's centre from the axis, relative to half the largest width, and
-smallest fraction of centred rows without gaps.
+"""In the outline of an upright object, at least the fraction `EVERY` of the rows is centred and has
+no gaps. The centre of a centred row is nearer to the axis than `CENTRED`, relative to half the
+largest width.
 """
 LEAN = 0.04
-"""Largest slope of the axis in the image. Perspective lets an object away from the centre lean."""
+"""Largest slope of the axis in the image. In a perspective image, an object far from the centre
+leans.
+"""
 ELLIPTIC = 0.03
 """Largest root mean square distance of an arc from half of an ellipse, relative to half the
 ellipse's width.
@@ -33,37 +36,46 @@ have larger ratios.
 WALL = 0.3
 """Smallest height of a drum between the arcs, relative to half the width."""
 MORE = 0.1
-"""Largest height by which a drum's upper arc exceeds the lower arc, relative to half the width.
-From above, the upper circle appears flatter.
+"""A drum's upper arc may be higher than the lower arc by at most this amount, relative to half the
+width. If a drum is seen from above, the upper circle appears flatter.
 """
 FULL = 0.97
 """Smallest width of the rim, relative to the largest width."""
 FLAT_RIM, LOW_RIM = 0.15, 0.5
-"""Largest height above a vessel's rim, relative to the whole height.
+"""Largest height of the part of a vessel's outline above the rim, relative to the whole height.
 
-`LOW_RIM` applies if only the part above the rim is half of an ellipse. If both parts are ellipses,
-the outline is that of an egg.
+`LOW_RIM` applies if the part above the rim is half of an ellipse. If the lower part is half of an
+ellipse as well, the outline is that of an egg.
 """
 EGG = 0.9
-"""Smallest height of an egg's two arcs, relative to the whole height."""
+"""An outline is that of an egg if its upper and lower arcs together take more than this fraction of
+the height.
+"""
 NARROWER = 0.75
 """Largest width near a vessel's foot, relative to the largest width; a drum is wider."""
 FOOT = 0.12
 """Height at which the width near the foot is measured, relative to the object's height."""
 WIDENING = 0.03
-"""Largest increase of a vessel's width below the rim."""
+"""Largest increase of a vessel's half width below the rim, relative to the largest half width."""
 UPPER = 0.22
-"""Upper fraction of the height that contains the rim of an outline with a tip, as of a shield."""
+"""In an outline with a tip, such as a shield, the rim is in this uppermost fraction of the height.
+"""
 TIP_HEIGHT = 0.1
-"""Height near the tip, relative to the object's height."""
+"""Height above the tip at which the width near the tip is measured, relative to the object's
+height.
+"""
 TAPERED = 0.46
-"""Largest width at the height `TIP_HEIGHT`, relative to the largest width."""
+"""Largest width near a tip (at the height `TIP_HEIGHT`), relative to the largest width."""
 HIGHER = 0.6
 """Smallest ratio of height to width of an outline with a tip; bowls without a foot are lower."""
 STEP = 0.12
-"""Largest decrease of a vessel's half width over `SPAN`, relative to the largest half width."""
+"""Within the height `SPAN`, a vessel's half width decreases by at most this fraction of the largest
+half width.
+"""
 SPAN = 0.03
-"""Height of the compared step, relative to the object's height; sleeves end more abruptly."""
+"""Height within which `STEP` limits the decrease, relative to the object's height. Sleeves end more
+abruptly.
+"""
 THIN = 0.4
 """Largest thickness of a handle, relative to the thickest part."""
 REACH = 0.05
@@ -71,11 +83,13 @@ REACH = 0.05
 TIP = 0.2
 """Length of a protruding part's tip, relative to the part."""
 POINTED = 0.3
-"""Largest height of a part's tip, relative to the part, if the part is a rim, not a handle."""
+"""A protruding part is a rim instead of a handle if its tip is lower than this, relative to the
+part's height.
+"""
 FEWEST = 16
 BELOW = 0.08
-"""Smallest height of the object below a handle, relative to the object's height; brims and feet
-have nothing below.
+"""At least this fraction of the object's height is below a handle. Below brims and feet, there is
+nothing.
 """
 
 
@@ -180,7 +194,7 @@ class Profile:
 
 
 def _arc(half: Field) -> int:
-    """Return the number of rows, from the first, that form half of an ellipse, or 0."""
+    """Return how many of the first rows form half of an ellipse; 0 if none."""
     best, least = 0, ELLIPTIC
     for rows in range(3, len(half) // 2 + 1):
         if rows > HIGHEST_VIEW * half[rows]:
@@ -216,7 +230,7 @@ def _without_handles(solid: Mask) -> Mask | None:
 
 
 def _complete(body: Mask, solid: Mask) -> Mask:
-    """Complete a symmetric body [H,W] by the mirror image, but only inside `solid`.
+    """Add the mirror image of a symmetric body [H,W] to the body, but only inside `solid`.
 
     Where a handle joins the body close to the rim, a corner of the rim looks like the handle.
     """

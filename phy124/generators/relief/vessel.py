@@ -14,7 +14,7 @@ from phy124.generators.relief.upright import Profile, upright_body
 
 Field = NDArray[np.float64]
 JOINT = 4
-"""Length of handles inside the body [pixels]."""
+"""Handles are extended by this length into the body [pixels]."""
 
 
 def vessel_shell(
@@ -26,7 +26,7 @@ def vessel_shell(
     *,
     always: bool,
 ) -> Shell | None:
-    """Return the shell of a vessel or a drum; None if the image does not show one from above.
+    """Return the shell of a vessel or a drum; None if the image shows neither of them from above.
 
     Args:
         rgba: The image [H,W,4].
@@ -35,8 +35,8 @@ def vessel_shell(
         rng: Random number generator.
         elevation: Angle above the horizontal from which the picture was taken [degrees]; None:
             estimated from the outline.
-        always: Whether the object is a solid of revolution for any outline. If no elevation is
-            found, such an object is assumed to be seen from the front.
+        always: Whether the object is known to be a solid of revolution, whatever its outline is. If
+            no elevation is found, such an object is assumed to be seen from the front.
     """
     object_mask = rgba[..., 3] > 0.5
     body = upright_body(object_mask)

@@ -24,7 +24,7 @@ from phy124.weights.store import KNOWN, WeightFile, find, require
 SIZE = 320
 """Side of the network's input [pixels]."""
 CLOSER = 1.4
-"""Smallest magnification at which a small object is segmented again."""
+"""A small object is segmented again only if this magnifies it by at least this factor."""
 AROUND = 0.15
 """Width of the margin around a small object, relative to the object's longest side."""
 AGREED = 0.85
@@ -88,7 +88,7 @@ def saliency(rgb: NDArray[np.uint8], network: Network) -> NDArray[np.float32]:
 def look_closer(
     rgb: NDArray[np.uint8], coarse: NDArray[np.float32], network: Network
 ) -> NDArray[np.float32]:
-    """Segment a small object again in a section of the image, where thin parts have more pixels.
+    """Segment a small object again in a section of the image, so that thin parts cover more pixels.
 
     The first mask [320,320] is returned if the two masks disagree; otherwise the mask [H,W] of the
     section.

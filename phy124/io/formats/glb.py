@@ -61,8 +61,8 @@ MAX_NODES = 2000
 SCALE = f"{EXTENSION}:SCALE"
 OBJECT = "_OBJECT_ID"
 LEAVES_THE_FRONT = ("splat-transform", "SuperSplat")
-"""Programs that rotate a PLY by 180 degrees about z when they write it as GLB; the object then
-faces -z, as in the PLY.
+"""Programs that rotate Gaussians by 180 degrees about z when they convert a PLY to a GLB. In such a
+GLB, the object faces -z, as in the PLY.
 """
 READ = {"POSITION", "COLOR_0", OBJECT}
 READ |= {f"{EXTENSION}:{name}" for name in ("ROTATION", "SCALE", "OPACITY")}
@@ -335,7 +335,9 @@ def _columns(scene: Scene, primitive: Primitive, logs: bool) -> dict[str, NDArra
 
 
 def _to_display_colours(sh: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Higher degrees are multiplied by the derivative of the conversion at degree 0."""
+    """Convert harmonics from linear colours to sRGB. Coefficients of degree 0 are converted
+    exactly; coefficients of higher degrees are multiplied by the derivative of this conversion.
+    """
     linear = np.clip(0.5 + SH_C0 * sh[:, :1].astype(np.float64), 0, 1)
     bright = 1.055 * np.maximum(linear, 1e-9) ** (1 / 2.4) - 0.055
     slope = np.where(linear <= 0.0031308, 12.92, (bright + 0.055) / 2.4 / np.maximum(linear, 1e-9))

@@ -52,16 +52,18 @@ MAGIC = b"PHY4D\0\1\0"
 TOLERANCE = 1e-3
 """Largest error of a Gaussian's centre, relative to the object's size."""
 NODES = (12, 17, 24, 34)
-"""Numbers of nodes along the object's longest side that are tried; the smallest file is kept."""
+"""These numbers of nodes along the object's longest side are tried; the smallest file is kept."""
 STIFF = 1e-4
-"""Weight of the term that makes neighbouring nodes move alike; without it, nodes with few Gaussians
-nearby would be undetermined.
+"""Weight of the term that makes neighbouring nodes move alike. Without this term, the motion of
+nodes with few Gaussians nearby would be undetermined.
 """
 STEP = TOLERANCE / 8
 """Quantisation step of the displacements of lattice nodes, relative to the object's size."""
 LARGEST = 2**15 - 1
 TALLEST = 4.0
-"""Largest magnitude of the log ratios between a Gaussian's scales now and at rest; exp(4) = 55."""
+"""Largest magnitude of the logarithm of a Gaussian's scale divided by its scale at rest; exp(4) =
+55.
+"""
 STRETCHES = 1 << 22
 """Largest number of samples from which the range of the material's stretch is determined."""
 PERCENTILES = (1, 99)

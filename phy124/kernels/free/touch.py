@@ -125,7 +125,9 @@ def make_touch(shape: str, real: Any):
         grid: wp.array(dtype=Any),
         window: wp.array(dtype=wp.vec3i),
     ):
-        """Return the empty fraction of the volume around a node; 1 if one of the two is absent."""
+        """Return the empty fraction of the volume around a node; 1 without material or without the
+        body.
+        """
         inside = fill_fraction(grid, window, at, step, fill, type(fill)(NARROWEST))
         part = solid(at, geometry, lattice, body)[3]
         deep = part

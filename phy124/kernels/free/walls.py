@@ -44,7 +44,7 @@ def arm_to(shape: int, point: int, R: wp.mat33d, half: wp.vec3d, n: wp.vec3d):
         shape: Number of points: 1 for a sphere, 2 for a capsule, 8 for a box.
         point: Index of the point.
         R: The body's axes as columns.
-        half: Half of the solid's sides along these axes [m].
+        half: Half of the solid's sides along the body's axes [m].
         n: Normal of the plane, out of the wall.
     """
     unit = wp.float64(1.0)
@@ -73,7 +73,7 @@ def turn_by(a: wp.mat33d, b: wp.mat33d, c: wp.mat33d, r: wp.vec3d, J: wp.vec3d):
 
 @wp.func
 def yielding(a: wp.mat33d, b: wp.mat33d, c: wp.mat33d, r: wp.vec3d, way: wp.vec3d):
-    """Return the velocity change along `way`, at the point r, due to 1 N s along `way`."""
+    """Return the velocity change along `way`, at r, due to an impulse of 1 N s along `way`."""
     turn = turn_by(a, b, c, r, way)
     return wp.dot(way, a @ (way - b @ turn) + wp.cross(turn, r))
 
@@ -95,8 +95,9 @@ def make_walls(drifts: bool, real: Any):
 
     Each of the `planes` has a point and an outward normal, and may act at `points` of the body (see
     `arm_to`). The variant with `drifts` ends a substep: first the walls stop the body, then the
-    body moves with constant angular momentum L. The angular velocity is computed from L at half of
-    the rotation. If a rotating corner enters a wall, the body is moved out of the wall.
+    body moves with constant angular momentum L. For the rotation, the angular velocity is computed
+    from L and the orientation after half of the rotation. If a rotating corner enters a wall, the
+    body is moved out of the wall.
     """
     name = f"phy124_free_{'drift' if drifts else 'solve'}_{real.__name__}"
 

@@ -50,8 +50,8 @@ impulses about the origin [N m s], and the work by a clamp's motion [J].
 def make_touch(shape: str, real: Any, rows: Rows):
     """Single-thread kernel: finds the points near a wall, and applies the last substep's impulses.
 
-    `inverse` (of the mass) is zero for nodes in a clamp. `force_out` contains the mean force on
-    each point in the last substep [N], and is set to zero for a point that has left the wall.
+    `inverse` is the inverse mass, or zero for nodes in a clamp. `force_out` contains the mean force
+    on each point in the last substep [N], and is set to zero for a point that has left the wall.
     `gap_out` is the normal and the distance of each point near the wall; the distance of other
     points is infinite.
     """
@@ -189,7 +189,9 @@ def mostly_held(
     s: int,
     first: int,
 ):
-    """Return whether clamps fix most of the nodes of a surface point, from column `first` on."""
+    """Return whether clamps fix most nodes of a surface point; `first` is the column of its first
+    node.
+    """
     free = weights[s, first] * weights[s, first] * inverse[nodes[s, first]]
     total = weights[s, first] * weights[s, first] * whole[nodes[s, first]]
     for k in range(first + 1, first + wp.static(NODES)):

@@ -1,4 +1,5 @@
-"""Contact of surface points with material on a grid, by impulses on the nodes of both.
+"""Contact of surface points with material on a grid, by impulses on the nodes of the body and of
+the grid.
 
 The surface of the material is assumed to be where the volume fraction is one half. The velocity of
 the material at a point is the mass-weighted mean velocity of the nodes around the point. An impulse

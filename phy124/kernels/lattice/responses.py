@@ -72,7 +72,7 @@ the point from the surface, and the friction coefficient.
 
 @wp.func
 def there_and_back(step: int, count: int):
-    """Return the index of the point to visit in a step of a pass forwards and backwards."""
+    """Return the index of the point that a step visits in a pass forwards and then backwards."""
     if step < count:
         return step
     return 2 * count - 1 - step
@@ -85,7 +85,7 @@ def correct(
     """Correct the impulse of a surface on a surface point by one step of Gauss-Seidel.
 
     The results are the normal component of the impulse, the normal component of the last impulse,
-    and the tangential part of the impulse. The surface's response limits them afterwards.
+    and the tangential part of the impulse. The surface's response limits these results afterwards.
 
     Args:
         relative: Velocity of the point relative to the surface [m/s].

@@ -19,9 +19,9 @@ REACH = wp.constant(4)
 cells, and the particle's B-splines reach two cells further.
 """
 EMPTY = wp.constant(1.5)
-"""Distance to the surface in cells without liquid [cells]."""
+"""Value that is stored as the distance to the surface in cells without liquid [cells]."""
 NONE = 1 << 30
-"""Lowest cell with particles in a column without particles."""
+"""Stands for the index of the lowest cell with particles in a column that has no particles."""
 
 
 @build_once

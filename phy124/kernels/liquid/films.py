@@ -1,4 +1,5 @@
-"""Computes areas of contact between particle bodies and fixed walls, and pressures of films there.
+"""Computes contact areas of particle bodies with fixed walls, and the pressures of films between
+them.
 
 The grid does not resolve the film between a body and a wall. The pressure in the film is therefore
 taken from the liquid around the contact.

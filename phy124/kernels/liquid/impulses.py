@@ -74,7 +74,7 @@ def take_row(sums: Sums, wall: int):
 
 @wp.func
 def gain_in(gains: wp.array(dtype=Any), n: int, count: int):
-    """Return the mean velocity change by forces around a cell; `count` cells exist."""
+    """Return the mean velocity change by forces around a cell; `count` is the number of cells."""
     total = gains[n]
     for k in range(n + count, gains.shape[0], count):
         total += gains[k]

@@ -32,7 +32,7 @@ def is_wall(open: wp.array(dtype=Any), liquid: wp.array(dtype=int), n: int, size
 
 @wp.func
 def leads_behind(step: int, low: int, high: int):
-    """Return whether a step along an axis leads into a wall, or stays in the cell.
+    """Return True if a step along an axis is 0 or leads into a wall.
 
     `low` and `high` are 1 if the neighbours on the two sides are walls.
     """

@@ -40,7 +40,9 @@ def point(cell: wp.vec3i, a: int, b: int, c: int, size: wp.vec3i):
 
 @wp.func
 def triangle(a: Any, b: Any, c: Any):
-    """Return the fraction of a triangle in which a linear function (corner values) is positive."""
+    """Return the fraction of a triangle in which a linear function is positive, from its corner
+    values.
+    """
     zero = type(a)(0.0)
     unit = type(a)(1.0)
     low = wp.min(a, wp.min(b, c))
@@ -73,8 +75,8 @@ def square(a: Any, b: Any, c: Any, d: Any, middle: Any):
 def to_frame(x: Any, slot: int, values: wp.array(dtype=Any), frame: wp.array(dtype=wp.float64)):
     """Return a position in the frame of a wall's shape, and whether the wall is active.
 
-    The value of the track `slot` (above 0) displaces a wall. `frame` is the state of a freely
-    moving solid (phy124/kernels/free/numbers.py), or empty.
+    If `slot` is above 0, the value of this track displaces the wall. `frame` is the state of a
+    freely moving solid (phy124/kernels/free/numbers.py), or empty.
     """
     active = type(x[0])(1.0)
     at = x

@@ -55,7 +55,8 @@ def native_func(
         like: The function whose signature declares the parameters.
         name: Name of the device function.
         returns: Return type, or None.
-        indexed: Whether a thread index precedes the parameters; `body` calls it `thread`.
+        indexed: Whether a thread index precedes the parameters; in `body`, the index is called
+            `thread`.
     """
     result = "" if returns is None else " -> returns"
     first = "thread: int, " if indexed else ""

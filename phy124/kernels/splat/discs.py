@@ -24,9 +24,13 @@ LEVEL = wp.constant(0.45)
 AHEAD = wp.constant(1.2)
 """Distance outwards from a disc at which phi shows whether the disc is inside the liquid."""
 FILLED = wp.constant(wp.vec2(0.22, 0.42))
-"""Values of phi at the distance `AHEAD` at which a disc begins to fade, and has vanished."""
+"""If phi at the distance `AHEAD` is above the first value, a disc begins to fade; from the second
+value on, it is invisible.
+"""
 STEEP = wp.constant(wp.vec2(0.2, 0.35))
-"""Gradients of phi, divided by phi [1/cell], at which discs are invisible, and do not fade."""
+"""Up to the first of these gradients of phi, divided by phi [1/cell], discs are invisible; from the
+second on, discs do not fade.
+"""
 MOVES = wp.constant(wp.vec2(-0.35, 0.9))
 """Largest displacements onto the surface: inwards and outwards."""
 OVERLAP = wp.constant(0.95)
@@ -50,7 +54,9 @@ CLOSED = wp.constant(0.5)
 TOUCH = wp.constant(0.75)
 """Largest distance from a wall at which Gaussians are drawn on the wall."""
 FILM = wp.constant(wp.vec2(1.5, 2.5))
-"""Thicknesses of a film at which its face on the wall begins to appear, and is complete."""
+"""A film's face on the wall begins to appear at the first of these thicknesses, and is complete at
+the second.
+"""
 EDGE = wp.constant(0.5)
 """Smallest depth below the free surface at which Gaussians are drawn on a wall."""
 WETTED = wp.constant(0.6)
@@ -94,13 +100,16 @@ THIN = wp.constant(0.2)
 SPRAY = wp.constant(0.6)
 """Fraction of `PALE` in the colour of a drop."""
 FAST = wp.constant(wp.vec2(0.6, 1.5))
-"""Speeds [m/s] at which foam begins to appear, and is complete. Water entrains air above a speed of
-about this order of magnitude (Chanson 1996).
+"""Foam begins to appear at the first of these speeds [m/s], and is complete at the second. Water
+entrains air above a speed of about this order of magnitude (Chanson 1996).
 """
 THINNED = wp.constant(wp.vec2(0.72, 0.92))
-"""Ratios of the spread to the spread at rest at which foam begins to disappear, and is gone."""
+"""Foam begins to disappear at the first of these ratios of the spread to the spread at rest, and is
+gone at the second.
+"""
 ALOFT = wp.constant(wp.vec2(0.75, 1.5))
-"""Distances from a wall at which foam begins to appear, and is complete."""
+"""Foam begins to appear at the first of these distances from a wall, and is complete at the second.
+"""
 FOAM = wp.constant(wp.vec3(0.96, 0.98, 1.0))
 WHITE = wp.constant(0.9)
 """Fraction of the foam's colour in a Gaussian that is all foam."""
@@ -109,7 +118,9 @@ MILKY = wp.constant(0.5)
 THICK = wp.constant(0.65)
 """Thickness of a disc that is all foam, relative to its radius; drawn without gloss."""
 FLECKED = wp.constant(wp.vec2(0.25, 0.9))
-"""Fractions of foam at which flecks begin to appear, and have their full number."""
+"""Flecks begin to appear at the first of these fractions of foam, and have their full number at the
+second.
+"""
 FLECKS = wp.constant(0.7)
 """Largest fraction of the Gaussians in foam that are drawn as flecks."""
 LITTLE = wp.constant(wp.vec2(0.07, 0.21))
@@ -132,7 +143,7 @@ class Shape:
     fade: float
     """Factor on the opacity of a disc."""
     lower: float
-    """Fraction with which the liquid's face on the wall is drawn."""
+    """How far the liquid's face on the wall has appeared, 0..1 (`FILM`)."""
     here: float
     """phi at the Gaussian."""
     foam: float
