@@ -36,7 +36,9 @@ MINIMUM, MAXIMUM = 0.003, 0.97
 TINY, MUCH = 0.02, 0.85
 """A warning is shown if the object covers less or more than these fractions of the image."""
 SIDES = 3
-"""A warning is shown if a cut-out touches this number of image edges, as a table often does."""
+"""A warning is shown if a cut-out touches this number of image edges. The cut-out may then show a
+table instead of the object that stands on it.
+"""
 PIECES = 4
 """A warning is shown if a cut-out has this number of pieces."""
 UNSEEN = 0.12
@@ -83,7 +85,7 @@ class Cutout:
     touches: tuple[str, ...]
     """Image edges that the object nearly reaches: left, top, right, bottom."""
     unseen: float
-    """Fraction of the outline at which the image has no edge."""
+    """Fraction of the outline along which the image has no edge."""
     alike: float
     """Fraction of the surrounding pixels whose colour is more common in the object."""
     undecided: float = 0.0

@@ -31,7 +31,7 @@ FIT = 0.025
 """Largest mean distance of the outline from the rim's back half, relative to half the rim's width.
 """
 FRONT = 0.95
-"""Smallest fraction of the rim's front half at which the image has an edge."""
+"""The image must have an edge along at least this fraction of the rim's front half."""
 EDGE = 2.0
 """Smallest colour gradient at an edge, in CIE Lab units per pixel."""
 ACROSS = np.linspace(-0.85, 0.85, 41)

@@ -55,7 +55,7 @@ def find_touched_edges(solid: Solid) -> tuple[str, ...]:
 
 
 def measure_unseen(rgb: NDArray[np.uint8], solid: Solid) -> float:
-    """Return the fraction of the outline at which the image [H,W,3] shows no edge."""
+    """Return the fraction of the outline along which the image [H,W,3] shows no edge."""
     lab, inside = _reduce(rgb, solid)
     around = np.ones((3, 3), np.uint8)
     outline = cv2.morphologyEx(inside.astype(np.uint8), cv2.MORPH_GRADIENT, around) > 0

@@ -81,8 +81,9 @@ class Clip:
     """
     wrenches: NDArray[np.float64] | None = None
     """Mean wrench that the object exerts on each of W walls since the previous frame [T,W,2,3]: the
-    force [N], and the torque about the object's centre of mass [N m]. None if the
-    scene does not ask for them."""
+    force [N], and the torque about the object's centre of mass [N m]. None if the scene asks for no
+    wrenches.
+    """
     walls: tuple[str, ...] = ()
     object_id: NDArray[np.int32] | None = None
     """Object index of each Gaussian [N]; None if there is only one object."""
@@ -230,8 +231,8 @@ class Clip:
     def velocity(self, index: int) -> Array | None:
         """Return the velocities of the centres at a frame [N,3], m/s; None for a single frame.
 
-        These are the simulated velocities, if the clip has them. If not, they are the difference
-        quotients of the adjacent frames, which are one-sided at the first and the last frame.
+        If the clip has simulated velocities, these are returned. Otherwise, the velocities are
+        difference quotients of the adjacent frames, one-sided at the first and the last frame.
         """
         if self.velocities is not None:
             return self.velocities[index]

@@ -27,8 +27,8 @@ RUNNING = 600
 MOST_KEPT = 5_000_000
 """Largest value of --gaussians."""
 DENSEST = 100
-"""Largest allowed ratio of unpacked to compressed size: it is up to 10 for files of real objects,
-and 1000 for zip bombs.
+"""Largest allowed ratio of unpacked to compressed size. The ratio is up to 10 for files of real
+objects, and 1000 for zip bombs.
 """
 SMALL = 1 << 22
 """Files up to this unpacked size [bytes] may exceed `DENSEST`, because small objects of one colour

@@ -146,7 +146,7 @@ def write_html(
 ) -> None:
     """Write one HTML file that plays the clip offline in any browser with WebGL 2.
 
-    If the page is opened with `?p4d=ADDRESS`, it plays the P4D file at this address instead.
+    A page that is opened with `?p4d=ADDRESS` plays the P4D file at this address instead.
 
     Args:
         path: Path of the HTML file.

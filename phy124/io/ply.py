@@ -235,7 +235,7 @@ def _printable(name: str) -> str:
 SCALE_FLOOR = 1e-12
 """Smallest scale that is written [m]; the scale 0 of a flat Gaussian has no logarithm."""
 OPACITY_MARGIN = 1e-7
-"""Smallest distance of written opacities from 0 and 1, whose logits are infinite."""
+"""Written opacities differ from 0 and 1 by at least this, since 0 and 1 have infinite logits."""
 COMMENT = "phy124: x right, y down, z into the picture; the world's (x, y, z) is (-z, x, -y) here"
 VERTICAL = re.compile(r"vertical axis:\s*(-?[xyz])\s*", re.IGNORECASE)
 """Pattern of the comment in which Nerfstudio and Brush state the vertical axis."""
@@ -251,7 +251,7 @@ class Ply(NamedTuple):
 
     gaussians: Gaussians
     """The Gaussians in the axes of phy124, in the file's unit of length (assumed to be the metre).
-    They are moved to the origin if float32 could not resolve their positions.
+    The Gaussians are moved to the origin if float32 could not resolve their positions.
     """
     dropped: int
     """Number of the file's rows that were removed because a value was NaN or infinite."""
@@ -270,8 +270,8 @@ def read_ply(
         path: The file.
         up: Direction in the file that points up, in the notation of `phy124.io.axes.orientation`.
         front: Direction of the object's front, in the file's axes.
-        dialect: The program that wrote the file, used if `up` is None; by default, the axes that
-            comments in the file state, or the usual axes.
+        dialect: The program that wrote the file. If `up` is None, the program determines the axes.
+            Default: the axes that comments in the file state, or else the usual axes.
 
     Raises:
         InputError: If the file is missing or cut short, is no PLY file, or has no Gaussians.

@@ -31,7 +31,7 @@ from phy124.runtime.signals import without_signals
 Picture = NDArray[np.uint8]
 FPS_RANGE = (0.1, 240.0)
 STUCK = 120.0
-"""Time after which an encoder is killed if it accepts no frame or does not finish [s]."""
+"""An encoder that accepts no frame, or does not finish, within this time [s] is killed."""
 ENCODER = ("-preset", "veryfast", "-crf", "18", "-movflags", "+faststart", "-f", "mp4")
 """With CRF 18, losses are not visible; slower presets would hardly reduce the file size."""
 BT709 = (

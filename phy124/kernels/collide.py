@@ -46,7 +46,7 @@ def front(s: Any, axis: int, dx: Any):
 
 @wp.func
 def add_velocity(nodes_out: wp.array(dtype=Any), n: int, change: Any):
-    """Change a node's velocity without writing its mass, which other threads read."""
+    """Change a node's velocity without writing its mass, because other threads read the mass."""
     nodes_out[n] += wp.vector(change[0], change[1], change[2], type(change[0])(0.0))
 
 

@@ -133,9 +133,9 @@ def log_volume(J: wp.float64):
 def log_volume(J: wp.float32):  # noqa: F811
     """Return the logarithm of the volume ratio J.
 
-    For |J - 1| < 0.2, the best polynomial approximation of log(1 + y) / y takes a third of the time
-    of log. The polynomial's error is 3e-8 (1.4e-7 with rounding errors), and the result is exactly
-    0 at J = 1.
+    For |J - 1| < 0.2, log(1 + y) / y is replaced by its best polynomial approximation, which takes
+    a third of the time of log. The polynomial's error is 3e-8 (1.4e-7 with rounding errors), and
+    the result is exactly 0 at J = 1.
     """
     y = J - 1.0
     if wp.abs(y) >= 0.2:

@@ -1,4 +1,5 @@
-"""Contact between two bodies: their velocities are made equal at nodes at which both have mass.
+"""Contact between two bodies: at nodes at which both bodies have mass, the velocities are made
+equal.
 
 Each body has a separate velocity field (Bardenhagen, Brackbill and Sulsky 2000; Bardenhagen et al.
 2001). The normal follows from the gradients of both volumes (Nairn 2013). Two surfaces meet if the
@@ -131,8 +132,9 @@ def fill_fraction(
 ):
     """Return a body's mass at a node, divided by its mass at nodes in its interior.
 
-    The interior is searched up to two nodes further inside. The result is -1 if the volume fraction
-    there is less than `narrowest`. Edges and compression change both masses by the same factor.
+    The interior is searched at nodes up to two steps further inside the body. The result is -1 if
+    the volume fraction there is less than `narrowest`. Edges and compression change both masses by
+    the same factor.
     """
     m = mass_at(grid, window, node)
     deep = wp.max(mass_at(grid, window, node + inward), mass_at(grid, window, node + 2 * inward))

@@ -48,7 +48,7 @@ class Law(NamedTuple):
 
 
 NOWHERE = wp.constant(-1e9)
-"""Replaces a grid coordinate that is NaN; outside every window."""
+"""Replaces a grid coordinate that is NaN; this value is outside every window."""
 
 
 @wp.func

@@ -233,8 +233,8 @@ class Crew:
             at: Index of the sum (phy124/kernels/lattice/work.py).
             tracks: The tracks of the run, with the clock and the uniform acceleration.
             out: The sums.
-            pool: The forces. None: the forces of pushes if `at` is `PUSHED`, otherwise of the
-                stress.
+            pool: The forces. None: if `at` is `PUSHED`, the forces of pushes; otherwise, the forces
+                of the stress.
         """
         pushed = at == PUSHED
         if pool is None:

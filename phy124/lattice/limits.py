@@ -28,7 +28,7 @@ WAY = 0.25
 TRAVEL = 3.0
 """Approach of points to walls after which the distances from walls are measured again [cells]."""
 VIOLENT = 0.35
-"""Strain per substep above which limits are measured in every substep."""
+"""If the strain per substep exceeds this, the limits are measured in every substep."""
 
 
 class Limits(Kept):
@@ -154,7 +154,7 @@ class Limits(Kept):
         raise Unstable(f"the body was squeezed so fast that {what}")
 
     def measure_frequency(self) -> None:
-        """Measure the bodies' largest frequency when forces are summed and have not yet acted."""
+        """Measure the bodies' largest frequency after the forces are summed, before they act."""
         clock = self._clock
         self.probing, self._strain, self._probed = False, 0.0, clock.substeps
         self._runner.join()

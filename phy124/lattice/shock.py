@@ -15,10 +15,10 @@ from phy124.mpm.stage import Named
 from phy124.mpm.timestep import CELLS_PER_STEP, Extremes, Substep, decay
 
 FAST = 0.25
-"""Closing rate of a cell above which the artificial viscosity acts, relative to the speed of sound
-divided by the side of a cell. With a value of 0.25, points penetrate walls by up to 0.36 cells if
-an undamped block is pressed to a fifth of its height. With a value of 0.6, the points would
-penetrate walls by up to 0.66 cells.
+"""The artificial viscosity acts if the closing rate of a cell exceeds this, relative to the speed
+of sound divided by the side of a cell. With a value of 0.25, points penetrate walls by up to 0.36
+cells if an undamped block is pressed to a fifth of its height. With a value of 0.6, the points
+would penetrate walls by up to 0.66 cells.
 """
 LEAST = 0.1
 """Largest compression of a point in a substep while the artificial viscosity acts. The artificial
@@ -47,7 +47,7 @@ class LatticeClock(Clock):
     kept = (*Clock.kept, "closing", "lasting", "seen", "solid")
 
     calm = math.inf
-    """Closing rate of a cell above which the artificial viscosity acts [1/s]."""
+    """The artificial viscosity acts if the closing rate of a cell exceeds this [1/s]."""
     shocked = 0
     """Number of substeps in which the artificial viscosity acted."""
     closing = lasting = 0.0
@@ -110,7 +110,8 @@ class LatticeClock(Clock):
 
 
 def largest_calm_rate(materials: Sequence[Material], dx: float) -> float:
-    """Return the closing rate above which the artificial viscosity acts in cells of `dx` [m], 1/s.
+    """Return the closing rate [1/s] above which the artificial viscosity acts; cells have the side
+    `dx` [m].
 
     Up to the rate eta / (rho dx^2), the damping eta of the materials causes more pressure than the
     artificial viscosity.

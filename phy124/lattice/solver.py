@@ -271,7 +271,9 @@ class LatticeSolver(Kept):
         return self.walls.pinch()
 
     def _place_walls(self) -> None:
-        """Evaluate all tracks at the current time; the last substep evaluated them at its start."""
+        """Evaluate all tracks at the current time; the last substep evaluated the tracks at its
+        start.
+        """
         self.clock.begin(0.0, 0.0)
         self._sample.launch()
 

@@ -132,8 +132,8 @@ class Spectrum:
         """Return the square of the largest frequency [1/s^2] after some power iterations.
 
         The accelerations are added to the shape with the factor `share`. If the nodes' velocities
-        are passed, they are changed instead of displacements, and the result is the largest rate of
-        damping [1/s].
+        are passed, velocities are changed instead of displacements, and the result is the largest
+        rate of damping [1/s].
         """
         square, peak, trials = 0.0, self._peak(), self._trials
         for _ in range(rounds):

@@ -431,7 +431,7 @@ def kernels(
         boundaries: The boundaries of the scene.
         real: wp.float32 or wp.float64.
         device: Name of the device.
-        several: Whether to yield also the kernels of contact between bodies.
+        several: Whether the kernels of contact between bodies are yielded as well.
     """
     rows = rows_for(real, device)
     yield from (make_place(real, rows), make_meet(real, rows), make_resist("separate", real, rows))

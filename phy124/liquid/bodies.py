@@ -34,7 +34,7 @@ FIRST = 8
 MOST = 0.7
 """Largest shift of a body's surface [cells]."""
 LIGHT = 0.05
-"""Density relative to the liquid below which a body is light."""
+"""A body is light if its density relative to the liquid is below this."""
 YIELDED = 0.004
 
 

@@ -22,8 +22,8 @@ from phy124.generators.relief.shell import DRAWN_IN, Shell
 Field = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 LOWEST, HIGHEST = np.radians([3.0, 60.0]).tolist()
-"""Limits of the camera's elevation [radians]. Outside these limits, the ring may also stand
-upright.
+"""Limits of the camera's elevation [radians]. Outside these limits, the image may show a ring that
+stands upright.
 """
 OVERLAP = 0.93
 """Smallest overlap (IoU) of the silhouette with the ring's image."""

@@ -14,7 +14,7 @@ Solid = NDArray[np.bool_]
 UNLIKE = 0.5
 """Smallest overlap (IoU) of the front's silhouette with the mirrored silhouette from behind."""
 EMPTY = 0.05
-"""Largest fraction of the heights at which only one image shows the object."""
+"""At most at this fraction of the heights, only one of the two images may show the object."""
 DEEPEST, FLATTEST = 4.0, 0.03
 """Largest and smallest depth, relative to the longest side of the front."""
 

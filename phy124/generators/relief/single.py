@@ -143,8 +143,8 @@ def _inflated_shell(
 ) -> Shell:
     """Inflate the silhouette to a shell that the front camera sees.
 
-    A fifth channel of the image is the depth map. If the object has legs, the image shows the body
-    alone.
+    If the image has a fifth channel, this channel is the depth map. If the object has legs, the
+    image shows the body alone.
     """
     view = View.of(work.object_mask if legs is None else legs.object_mask, VIEW_DISTANCE * WORK)
     shoulder = find_shoulder(work)

@@ -29,8 +29,8 @@ EVERY = 0.97
 WAISTED = 0.97
 """Largest area of a silhouette with a waist, relative to the convex hull."""
 COMPACT = 1.25
-"""Largest ratio of sides at which a convex shape is a solid of revolution. Longer shapes may lie on
-their side.
+"""A convex shape is a solid of revolution only up to this ratio of its sides. Longer shapes may lie
+on their side.
 """
 CONVEX = 0.93
 """Smallest area of a convex silhouette, relative to the convex hull."""

@@ -41,7 +41,7 @@ class View:
 
     @classmethod
     def of(cls, object_mask: NDArray[np.bool_], distance: float) -> View:
-        """Return the camera that looks at the centre of a mask's bounding box [H,W]."""
+        """Return the camera that looks at the centre of the bounding box of a mask [H,W]."""
         y, x = np.nonzero(object_mask)
         return cls(np.array([x.min() + x.max(), y.min() + y.max(), 0.0]) / 2, distance)
 
@@ -73,7 +73,7 @@ TRIAL = 2.0
 ROUNDS = 6
 """Number of relaxation rounds; after five rounds, the spacing is even to about 10 %."""
 ALIKE = 3
-"""Number of rounds between two searches for neighbours, which are slow."""
+"""Number of rounds between two searches for neighbours. The searches are slow."""
 
 
 def smooth(values: Field, weights: NDArray, width: float) -> Field:
@@ -87,7 +87,7 @@ def smooth(values: Field, weights: NDArray, width: float) -> Field:
 
 
 def _slopes(values: Field, inside: NDArray[np.bool_]) -> tuple[Field, Field]:
-    """Return the derivatives downwards and to the right at inside pixels."""
+    """Return the derivatives of a field, downwards and to the right, at the pixels `inside`."""
     slopes = []
     for axis in (0, 1):
         step = np.diff(values, axis=axis, append=0)

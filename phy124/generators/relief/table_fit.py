@@ -29,8 +29,8 @@ Mask = NDArray[np.bool_]
 OVERLAP = 0.85
 """Smallest overlap (IoU) of the silhouette with the table's image."""
 CLEAR = 0.9
-"""Smallest overlap if the silhouette may also be an animal or a vehicle. Silhouettes of tables have
-an overlap of 0.97, and that of a bison 0.87.
+"""Smallest overlap for a silhouette that may instead show an animal or a vehicle. Silhouettes of
+tables have an overlap of 0.97, and that of a bison 0.87.
 """
 FIRST, MORE = 0.55, 0.05
 """A fit starts only from a coarse drawing with at least the overlap `FIRST`. The last fit is

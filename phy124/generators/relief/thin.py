@@ -101,7 +101,7 @@ TYRE = 0.2
 
 @dataclass(frozen=True)
 class Wings:
-    """Two sheets at both sides of a narrow body."""
+    """Two sheets, one at each side of a narrow body."""
 
     axis: tuple[float, float]
     """Column and row of a point on the axis."""

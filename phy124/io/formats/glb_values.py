@@ -136,8 +136,8 @@ BARE = 0.55
 SHORT = 1.0
 """Scales that are all positive can be logarithms only if their median is above this value."""
 COVERING = (0.6, 6.0)
-"""Smallest and largest ratio of width to spacing for Gaussians that cover an object; it is 1.2 to
-3.5 in example files.
+"""Smallest and largest ratio of width to spacing for Gaussians that cover an object. In example
+files, the ratio is 1.2 to 3.5.
 """
 NOTE = "Its scales are read as logarithms: {}."
 

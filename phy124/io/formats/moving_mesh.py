@@ -89,9 +89,10 @@ def write_moved(
 
 
 def fit_to_clip(pieces: list[Any], clip: Clip, axes: tuple[str, str | None]) -> list[Any]:
-    """Scale and shift meshes to match the object of a clip in its first frame, and return them.
+    """Return meshes that are scaled and shifted to match the object in the first frame of a clip.
 
-    The meshes are of the package trimesh. `axes` are the up and front directions of their file.
+    The meshes are of the package trimesh. `axes` are the up and front directions of the meshes'
+    file.
     """
     turn = orientation(*axes)
     placed = [piece.copy() for piece in pieces]

@@ -87,7 +87,7 @@ def _stage(pxr: Any, path: Path, clip: Clip) -> tuple[Any, Any]:
 
 
 def save_at_times(stage: Any, index: int) -> None:
-    """Save the USD stage after every `SAVED` frames, which frees their memory.
+    """Save the USD stage after every `SAVED` frames, to free the memory of these frames.
 
     A text file is saved only after the last frame, because each save writes the whole file.
     """

@@ -44,7 +44,8 @@ from phy124.kernels.window import strides
 def shares(relative: wp.vec3d, n: wp.vec3d, friction: wp.float64, sticky: int):
     """Return the fractions of a node's velocity relative to a surface that contact removes.
 
-    The first fraction applies along the normal out of the body, the second perpendicular to it.
+    The first fraction applies along the normal out of the body, the second perpendicular to the
+    normal.
     """
     if sticky == 1:
         return wp.vec2d(wp.float64(1.0), wp.float64(1.0))

@@ -22,9 +22,9 @@ VISCOUS, PRESSED, SHIFTED = 0, 1, 2
 along the displacements that restore the density.
 """
 AT_DRAG, AT_PRESSURE, AT_END = 3, 5, 7
-"""Indices of the work of walls from the start of a step up to the drag, the pressure, and the end,
-computed with the velocities of the walls. The next index (such as `AT_DRAG + 1`) is the same work,
-computed with the velocities of the liquid.
+"""Indices of the work of walls in a step: up to the drag, up to the pressure, and up to the end.
+This work is computed with the velocities of the walls. The next index (such as `AT_DRAG + 1`) is
+the same work, computed with the velocities of the liquid.
 """
 COUNT = 9
 

@@ -1,9 +1,9 @@
 """Computes displacements out of crowded cells into empty cells, to restore the rest density.
 
-The displacements are the gradient of the solution of a linear system with the matrix of the
-pressure equation and the density error as its right-hand side (Kugelstadt et al. 2019, "Implicit
-density projection for volume conserving liquids"). Below the surface, only an excess of density is
-corrected. The first row of cells below the surface is compared with a flat surface.
+The displacements are the gradient of a field that solves a linear system. The system has the matrix
+of the pressure equation, and the density error as its right-hand side (Kugelstadt et al. 2019,
+"Implicit density projection for volume conserving liquids"). Below the surface, only an excess of
+density is corrected. The first row of cells below the surface is compared with a flat surface.
 """
 
 from typing import Any

@@ -15,7 +15,9 @@ from phy124.kernels.liquid.faces import FILL, HAT, cell_of, entry, inner, stride
 from phy124.kernels.liquid.walls import SHUT, point
 
 LONE = wp.constant(0.3)
-"""Smallest fill of a cell that has pressure; below it, particles are drops in flight."""
+"""Smallest fill of a cell that has pressure; in cells with less fill, particles are drops in
+flight.
+"""
 
 
 @wp.func

@@ -112,11 +112,13 @@ ALOFT = wp.constant(wp.vec2(0.75, 1.5))
 """
 FOAM = wp.constant(wp.vec3(0.96, 0.98, 1.0))
 WHITE = wp.constant(0.9)
-"""Fraction of the foam's colour in a Gaussian that is all foam."""
+"""In a Gaussian that consists of foam only, this fraction of the colour is the foam's colour."""
 MILKY = wp.constant(0.5)
-"""Smallest opacity of a disc that is all foam."""
+"""Smallest opacity of a disc that consists of foam only."""
 THICK = wp.constant(0.65)
-"""Thickness of a disc that is all foam, relative to its radius; drawn without gloss."""
+"""Thickness of a disc that consists of foam only, relative to the disc's radius. Such a disc is
+drawn without gloss.
+"""
 FLECKED = wp.constant(wp.vec2(0.25, 0.9))
 """Flecks begin to appear at the first of these fractions of foam, and have their full number at the
 second.

@@ -16,8 +16,8 @@ RIM = wp.constant(0.50)
 WIDTH = wp.constant(1.5)
 """Width of an edge, and of the soft outline of a face [px]."""
 NEARLY = wp.constant(0.9999)
-"""A ray ignores a face whose distance is more than this fraction of the distance of the surface
-behind it, because the two almost coincide.
+"""If the distance of a face is more than this fraction of the distance of the surface behind the
+face, face and surface almost coincide, and the ray ignores the face.
 """
 TINT = wp.constant(wp.vec3(0.36, 0.44, 0.52))
 
