@@ -36,8 +36,8 @@ MINIMUM, MAXIMUM = 0.003, 0.97
 TINY, MUCH = 0.02, 0.85
 """A warning is shown if the object covers less or more than these fractions of the image."""
 SIDES = 3
-"""A warning is shown if a cut-out touches this number of image edges. The cut-out may then show a
-table instead of the object that stands on it.
+"""A warning is shown if a cut-out touches this number of image edges. Such a cut-out may include
+background, for example a table.
 """
 PIECES = 4
 """A warning is shown if a cut-out has this number of pieces."""

@@ -54,8 +54,8 @@ DEEP, EXACT = 0.1, 1e-3
 correction displaces a point by more than `EXACT` [cells].
 """
 STEP = 0.5
-"""Points are listed before they come close to a wall. Their largest approach until the next
-measurement is rounded up to a multiple of this [cells].
+"""Surface points near a wall are listed. While points may approach the wall, the distance up to
+which they are listed grows in steps of this length [cells].
 """
 RESTORE = {"separate": 0.65, "slip": 0.13, "sticky": 0.13}
 """Speed at which surface points inside a wall are moved out, divided by their depth. The unit of

@@ -335,8 +335,8 @@ def _columns(scene: Scene, primitive: Primitive, logs: bool) -> dict[str, NDArra
 
 
 def _to_display_colours(sh: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Convert harmonics from linear colours to sRGB. Coefficients of degree 0 are converted
-    exactly; coefficients of higher degrees are multiplied by the derivative of this conversion.
+    """Convert harmonics from linear colours to sRGB. Coefficients above degree 0 are multiplied by
+    the derivative of the conversion at degree 0.
     """
     linear = np.clip(0.5 + SH_C0 * sh[:, :1].astype(np.float64), 0, 1)
     bright = 1.055 * np.maximum(linear, 1e-9) ** (1 / 2.4) - 0.055
