@@ -5,13 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from phy124.boundaries import HalfSpace
+from phy124.boundaries import Container, HalfSpace
 from phy124.kernels.work import WORK
 from phy124.runtime.context import RunContext
 from phy124.scene import Scene
+from phy124.schema.region import Region
 from phy124.simulation import Simulation, prepare
 from phy124.studies.validation.stress.liquids import Balance
-from support.liquids import FPS, TANK, G, block, liquid, run
+from support.liquids import FPS, TANK, G, block, field, liquid, run
 from support.shapes import ball
 
 
@@ -106,3 +107,16 @@ def test_puddle_that_spreads_gains_no_energy():
         run(solver, 1)
         balance.compare()
     assert balance.energy < 1e-3
+
+
+@pytest.mark.parametrize("cells", [10, 15, 20, 25])
+def test_faces_that_lie_on_a_wall_are_closed(cells):
+    """Rounding errors must not open them, so that a tank has the same pressure on both sides."""
+    inside = Region(lower=(-0.6, -0.6, 0), upper=(0.6, 0.6, 9))
+    walls = Container(inside=inside, contact="slip")
+    water = block((-0.6, -0.6, 0), (0.6, 0.6, 0.3), cells)
+    solver = run(liquid(water, cells, [walls]), 1)
+    x = (solver.cells.low[0] + np.arange(solver.cells.size[0])) / cells
+    on_walls = field(solver, "open")[np.isclose(np.abs(x), 0.6)]
+    assert on_walls.shape[0] == 2
+    assert not on_walls[..., 0].any()

@@ -20,6 +20,10 @@ from phy124.kernels.liquid.faces import cell_of, inner, number, stride
 
 SHUT = wp.constant(1.0e-3)
 """A face counts as closed if its open fraction is below this value."""
+SLACK = wp.constant(1.0e-4)
+"""A face at most this far in front of a wall is closed [cells]; otherwise, rounding errors would
+decide whether a face that lies on the wall is open.
+"""
 GAP = wp.constant(0.02)
 """Particles inside a wall are moved this far in front of the wall [cells]."""
 DISTANT = wp.constant(2.0)
@@ -249,6 +253,7 @@ def make_openings(shape: str, real: Any):
         geometry: t.mat33,
         values: wp.array(dtype=t.vec4),
         frame: Doubles,
+        dx: real,
     ):
         """Return the distance from a wall to the point (a, b) [m from the middle] of a face."""
         x = middle
@@ -257,7 +262,7 @@ def make_openings(shape: str, real: Any):
         place, active = to_frame(x, slot, values, frame)
         if active <= real(0.0):
             return real(wp.inf)
-        return distance(place, geometry)[3]
+        return distance(place, geometry)[3] - real(SLACK) * dx
 
     @kernel(f"phy124_liquid_openings_{shape}_{real.__name__}", real, seconds=0.4)
     def openings(
@@ -285,19 +290,12 @@ def make_openings(shape: str, real: Any):
         before = share
         centre = centre_of(cell, lattice, window[0])
         for k in range(walls.shape[0]):
+            slot = slots[walls[k]]
+            form = geometries[k]
             for axis in range(3):
                 middle = centre
                 middle[axis] = centre[axis] - real(0.5) * dx
-                d = far(
-                    middle,
-                    axis,
-                    real(0.0),
-                    real(0.0),
-                    slots[walls[k]],
-                    geometries[k],
-                    values,
-                    frame,
-                )
+                d = far(middle, axis, real(0.0), real(0.0), slot, form, values, frame, dx)
                 part = real(1.0)
                 if d < real(-0.75) * dx:
                     part = real(0.0)
@@ -305,12 +303,10 @@ def make_openings(shape: str, real: Any):
                     if wp.static(flat):
                         h = real(0.5) * dx
                         part = square(
-                            far(
-                                middle, axis, -h, -h, slots[walls[k]], geometries[k], values, frame
-                            ),
-                            far(middle, axis, h, -h, slots[walls[k]], geometries[k], values, frame),
-                            far(middle, axis, h, h, slots[walls[k]], geometries[k], values, frame),
-                            far(middle, axis, -h, h, slots[walls[k]], geometries[k], values, frame),
+                            far(middle, axis, -h, -h, slot, form, values, frame, dx),
+                            far(middle, axis, h, -h, slot, form, values, frame, dx),
+                            far(middle, axis, h, h, slot, form, values, frame, dx),
+                            far(middle, axis, -h, h, slot, form, values, frame, dx),
                             d,
                         )
                     else:
@@ -322,17 +318,8 @@ def make_openings(shape: str, real: Any):
                             for b in range(points):
                                 u = dx * (real(a) - real(3.5)) * real(0.125)
                                 v = dx * (real(b) - real(3.5)) * real(0.125)
-                                e = far(
-                                    middle,
-                                    axis,
-                                    u,
-                                    v,
-                                    slots[walls[k]],
-                                    geometries[k],
-                                    values,
-                                    frame,
-                                )
-                                if e > real(1.0e-4) * dx:
+                                e = far(middle, axis, u, v, slot, form, values, frame, dx)
+                                if e > real(0.0):
                                     part += real(0.015625)
                 share[axis] = share[axis] * part
                 if share[axis] < real(SHUT):
