@@ -219,8 +219,8 @@ def foreground(
         method: Name of a method in `METHODS`, or "auto" for the first method that is applicable.
         mask: A mask of the same size that replaces the method. The object is white or, if the mask
             has transparency, opaque.
-        pick: A point on the object to segment: right and down, as fractions of the image's width
-            and height. If None, the largest object is segmented.
+        pick: A point on the object to segment: its distances from the left and the top, as
+            fractions of the image's width and height. If None, the largest object is segmented.
         deadline: Time limit of the segmentation, and the means to cancel it.
 
     Raises:

@@ -20,7 +20,7 @@ Box = tuple[int, int, int, int]
 GAP = 0.01
 """Largest gap between pieces of the same object, relative to the image's longest side."""
 COUNTED = 0.05
-"""Objects below this fraction of the largest area are ignored."""
+"""Objects with less than this fraction of the largest object's area are ignored."""
 NEAR = 0.02
 """Largest distance of a point from its object, relative to the image's longest side."""
 WINDOWS = (0.7, 0.45, 0.3)

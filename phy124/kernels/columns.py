@@ -1,4 +1,4 @@
-"""Response of columns of nodes to a wall; a column is a row of three nodes at the wall.
+"""Response of columns of nodes to a wall; a column consists of three successive nodes at the wall.
 
 The projection of a column's momentum is v_1 = sum(g m v) / sum(g^2 m), where g is the ratio of a
 node's distance from the wall to the first node's distance. Without the projection, a wall is as

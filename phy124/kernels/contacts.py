@@ -37,7 +37,7 @@ def make_contact_copy(real: Any):
 
 @build_once
 def make_contact_reach(real: Any):
-    """Kernel: replaces each node stored by `make_contact_copy` by its change due to a wall."""
+    """Kernel: replaces each node stored by `make_contact_copy` with the node's change by a wall."""
     t = types(real)
 
     @kernel(f"phy124_contact_reach_{real.__name__}", real, seconds=0.2)

@@ -145,7 +145,7 @@ def is_positive(a: Any):
 def snow_return(F: Any, h: Any, theta: Any, dt: Any):
     """Limit stretches to [smallest, largest]; the excess changes Jp (Stomakhin 2013, eqs. 9, 10).
 
-    The strain `largest - 1` at which a particle breaks differs from the material's by the fraction
+    A particle breaks at a strain that differs from the material's `largest - 1` by the fraction
     h[1]. Nothing changes if the limits would increase the energy, because snow with a Poisson's
     ratio near 1/2 would otherwise gain energy by fracture.
     """

@@ -13,7 +13,7 @@ Fields = wp.array3d[wp.float64]
 REACH = wp.constant(wp.float64(1.25))
 """Distance up to which neighbours repel each other, relative to the target spacing."""
 STRENGTH = wp.constant(wp.float64(0.45))
-"""Fraction of the missing distance by which points that are too close move apart in a round."""
+"""In a round, points that are too close move apart by this fraction of the missing distance."""
 SAME_SIDE = wp.constant(wp.float64(0.3))
 """Points with a smaller cosine between their normals are on opposite sides of a thin part."""
 COUNTED = wp.constant(6)

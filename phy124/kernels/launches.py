@@ -44,7 +44,8 @@ def record(
 ) -> wp.Launch | None:
     """Record a kernel launch; return None if the launch would have no threads.
 
-    `Repeated` uses internals of Warp, so unknown versions of Warp get Warp's launch instead.
+    `Repeated` uses internals of Warp. For an unknown version of Warp, the result is Warp's own
+    launch.
 
     Args:
         kernel: The Warp kernel.

@@ -60,7 +60,9 @@ for kinds in (types(wp.float32), types(wp.float64)):
     def change(
         first: int, each: int, stride: int, mass: kinds.reals, v: kinds.vec3s, kept: kinds.vec3s
     ) -> wp.vec4d:
-        """Return the changes of momentum and kinetic energy since the velocities were `kept`."""
+        """Return the changes of momentum and kinetic energy since the velocities `kept` were
+        stored.
+        """
         ...
 
 

@@ -182,7 +182,7 @@ class CoupledSolver(Solver):
 
 
 class _Lattices(Kept):
-    """Takes the lattices' part of a substep; a rejected substep restores the lattices."""
+    """Takes the lattices' part of a substep; restores the lattices if the substep is rejected."""
 
     kept = ("_lattice", "_materials")
 

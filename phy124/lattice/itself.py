@@ -89,7 +89,7 @@ class Meeting:
         self._flagged: NDArray[np.bool_] = np.zeros(len(sample), bool)
         """Whether pairs near each sampled point were determined."""
         self.slack = 0.0
-        """Relative displacement left before the surfaces are compared again [m]."""
+        """Relative displacement that remains until the surfaces are compared again [m]."""
         self._away = self._between or bool(surface.side[sample].any())
         """Whether the next call must determine the pairs."""
 

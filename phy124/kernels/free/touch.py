@@ -23,8 +23,8 @@ node. One cell away from a flat side the fraction is 0.021. If nodes farther awa
 contact, a light box under load would creep.
 """
 ROUND = wp.constant(0.6)
-"""Factor on the contact tolerance `ROUNDING` for freely moving solids, whose surface is sharp;
-fitted to the contact of a ball with a box (docs/lab/contact-force.md).
+"""Factor on the contact tolerance `ROUNDING` for freely moving solids: their surface is sharp. The
+factor is fitted to the contact of a ball with a box (docs/lab/contact-force.md).
 """
 STEEP = wp.constant(1e-4)
 """Smallest slope [1/cell] of a box's volume fraction that determines the contact normal. For

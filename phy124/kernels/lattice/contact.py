@@ -209,9 +209,9 @@ def make_meet(real: Any, rows: Rows):
     so a pair is treated like a single point. `rest_out` and the nodes then give the vector from the
     opposite position to the point. The opposite position follows the point along the surface, so
     that the pair's impulses have no moment. `back` converts the displacement of the opposite
-    position to the body at rest; `slopes` times this displacement changes the weights. A pair is
-    ignored if the position moves farther than `far`, or if the points are farther apart than
-    `reach`.
+    position to a displacement in the body at rest; `slopes` times the converted displacement is
+    subtracted from the weights. A pair is ignored if the position moves farther than `far`, or if
+    the points are farther apart than `reach`.
 
     For nodes in a clamp, `inverse` is zero, but `whole` is not. A pair of points of one body
     (`between` is 0) is ignored if a node of the pair is in a clamp, because the clamp's sums would

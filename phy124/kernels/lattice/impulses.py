@@ -48,7 +48,7 @@ def make_add_momentum(real: Any):
 def make_pass_on(real: Any):
     """Kernel over points: adds the contact impulses on nodes in clamps to the clamps' sums.
 
-    A clamp absorbs contact impulses on its nodes, which therefore do no work: their work is
+    A clamp absorbs the contact impulses on its nodes. These impulses do no work, so their work is
     subtracted from the sums of a wall. If another body exerts the impulse, the clamp does the work
     that moves this body, so the work is added to the clamp's sums.
 

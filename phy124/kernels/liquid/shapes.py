@@ -103,7 +103,9 @@ def raw_level(full: wp.array(dtype=Any), shares: wp.array(dtype=Any), n: int, dx
 
 @wp.func
 def way_out(shares: wp.array(dtype=Any), n: int, size: wp.vec3i):
-    """Return the step from a cell inside walls to the neighbour (one of 26) out of the walls."""
+    """Return the step from a cell inside walls to that of its 26 neighbours that is out of the
+    walls.
+    """
     slopes = wp.vector(type(shares[n][1])(0.0), type(shares[n][1])(0.0), type(shares[n][1])(0.0))
     for axis in range(3):
         step = stride(axis, size)

@@ -41,7 +41,7 @@ from phy124.kernels.liquid.walls import centre_of, part_of_solid, wall_across
 
 @build_once
 def make_motions(real: Any):
-    """Kernel over walls: computes the mean velocity in a step of walls that move along a track."""
+    """Kernel over walls that move along a track: computes each wall's mean velocity in a step."""
     t = types(real)
 
     @kernel(f"phy124_liquid_motions_{real.__name__}", real, seconds=0.15)

@@ -28,7 +28,7 @@ def in_body(
     axis: int,
     size: wp.vec3i,
 ):
-    """Return whether a face is inside one of the freely moving walls, from the index `body` on."""
+    """Return whether a face is inside a freely moving wall, whose index is at least `body`."""
     at = wp.vec3i(1, 1, 1)
     at[axis] = 0
     shut = item(open, n)[axis] == type(item(open, n)[axis])(0.0)
@@ -44,7 +44,7 @@ def around(
     row: int,
     layer: int,
 ):
-    """Sum over the neighbours, with known velocities, of each low face of a cell.
+    """For each low face of a cell, sum over the neighbours that have known velocities.
 
     Returns one column per face, with the rows: sum of the velocities; number of neighbours;
     momentum that neighbours with mass gained in the step; and the mass of these neighbours. `cells`

@@ -1,7 +1,8 @@
 """Computes the filled fraction (fill) of each cell and, from the fill, the distance to the surface.
 
-A flat surface is exact at any height. Near walls, the fill refers to the open part of the B-spline.
-The thickness of a layer on a wall is the volume in a column of cells.
+The distance to a flat surface is exact, whatever the height of the surface is. Near walls, the fill
+refers to the open part of the B-spline. The thickness of a layer on a wall is the volume in a
+column of cells.
 """
 
 from typing import Any

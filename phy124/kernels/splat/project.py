@@ -213,7 +213,7 @@ def project_simd(
 def bin_serial(count: int, columns, first, last, order, tiles, ends_out, pairs_out):
     """Fill the lists of all tiles in a single thread, for CPUs.
 
-    `ends_out` contains the start of each tile's list before, and its end afterwards.
+    Before the launch, `ends_out` contains the start of each tile's list; afterwards, the end.
     """
     ...
 
@@ -254,8 +254,8 @@ def start_lists(room, before: wp.array(dtype=int), starts_out, ends_out):
 def bin_parallel(columns, first, last, room, total, order, tiles, ends_out, ranks_out, pairs_out):
     """Fill the lists of all tiles with one thread per splat, for GPUs; the caller sorts the lists.
 
-    `ends_out` contains the start of each tile's list before, and its end afterwards. If the number
-    of entries, `total`, exceeds `room`, the lists stay empty.
+    Before the launch, `ends_out` contains the start of each tile's list; afterwards, the end. If
+    the number of entries, `total`, exceeds `room`, the lists stay empty.
     """
     if total[0] > room:
         return

@@ -80,8 +80,8 @@ def draw_setting(
 ):
     """Draw the surroundings with one thread per pixel: the plain version of `blend_staged_simd`.
 
-    `image_out` contains the light of the Gaussians before, and the whole frame afterwards. The
-    solids are sorted by depth; the first `before` of them are in front of all Gaussians.
+    Before the launch, `image_out` contains the light of the Gaussians; afterwards, the whole frame.
+    The solids are sorted by depth; the first `before` of them are in front of all Gaussians.
     """
     pixel = wp.tid()
     open = 1.0 - coverage[pixel]
