@@ -201,3 +201,13 @@ def test_refusals_of_projection_name_field_and_value(changes, said):
     scene = Scene.named("water").replaced({"accuracy": accuracy, "time.frames": 1, **changes})
     with pytest.raises(InputError, match=said):
         Simulation(prepare(ball(400), scene, RunContext(threads=1)))
+
+
+def test_projection_is_declared_for_several_liquids_and_accepts_bound_particles():
+    assert Scene.named("oil").projects and len(Scene.named("oil").object_materials) == 2
+    with pytest.raises(InputError, match="for one or several liquids"):
+        Scene.named("oil").replaced({"accuracy": {"liquid": "foam"}})
+    changes = {"accuracy": {"cells": 8, "liquid": "projection"}, "time.frames": 2}
+    scene = Scene.named("water").replaced({**changes, "binding": "particles"})
+    run = Simulation(prepare(ball(400), scene, RunContext(threads=1)))
+    assert run.run().report["complete"] and isinstance(run.solver, LiquidSolver)

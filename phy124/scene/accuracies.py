@@ -58,9 +58,9 @@ class Accuracy(Section):
         None, examples=["projection"]
     )
     """Solver of the law fluid. compressible: the pressure of each particle follows from its volume.
-    projection: incompressible flow with longer steps, for a single liquid, also together with other
-    materials. If absent: projection where it is supported; otherwise compressible, with the reason
-    in the report.
+    projection: incompressible flow with longer steps, for one or several liquids, also together
+    with other materials. If absent: projection where it is supported; otherwise compressible, with
+    the reason in the report.
     """
 
     @property
