@@ -150,7 +150,9 @@ class _Runs:
         return simulation.run(record=self.see)
 
     def _make_denser(self, cells: int) -> None:
-        """Repeat a run in which the material tore, with more particles if the limit allows more."""
+        """Repeat a run in which the material tore; use more particles per cell, or give up at the
+        limit.
+        """
         self.denser = self.scene.particles_per_axis + 1 <= DENSEST
         if self.denser:
             with suppress(InputError):

@@ -2,9 +2,9 @@
 
 The result at grid spacing h is modelled as u + h^p e + h^p s. The exact result u and the field e
 are common to all grids, and the scatter s is random. The results of two levels i and j then differ
-by about C abs(h_i^p - h_j^p), to which the order p is fitted. The fields u and e are fitted by
-least squares with weights h^-2p (Eca, Hoekstra 2014). The error of a level is h^p e + h^p s
-(Richardson 1911; Roache 1998).
+by about C abs(h_i^p - h_j^p). The order p is fitted to these differences. The fields u and e are
+fitted by least squares with weights h^-2p (Eca, Hoekstra 2014). The error of a level is h^p e + h^p
+s (Richardson 1911; Roache 1998).
 """
 
 from collections.abc import Sequence

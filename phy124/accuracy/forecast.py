@@ -313,7 +313,7 @@ class Forecaster:
 
 
 def speed_up(threads: int) -> float:
-    """Return the factor by which threads speed up the dynamics (docs/lab/benchmarks.md)."""
+    """Return the factor by which threads speed up the simulation (docs/lab/benchmarks.md)."""
     return 1 + SPEED_UP * (threads - 1)
 
 

@@ -1,7 +1,8 @@
 """Predicts the time of a substep on lattices, stage by stage.
 
-Some stages, such as contact, take longer in motion than at rest. Their calls are therefore counted
-in a pilot run of the whole motion; the duration of a call is measured on the final grid.
+Some stages, such as contact, take longer in motion than at rest. The calls of each stage are
+therefore counted in a pilot run of the whole motion. The duration of a call is measured on the
+final grid.
 """
 
 from collections.abc import Mapping

@@ -1,4 +1,4 @@
-"""Boundaries of a scene: shapes that change the velocities of grid nodes inside or near them.
+"""Boundaries of a scene: shapes that change the velocities of grid nodes inside or near the shapes.
 
 Each boundary is a section of the scene file. A boundary adds one stage to the substep; a container
 adds one stage per wall, and a gripper adds two. The kernel of a stage runs only over the nodes that

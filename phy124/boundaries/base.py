@@ -23,8 +23,8 @@ from phy124.schema.section import Section, omit_default
 
 Contact = Literal["sticky", "slip", "separate"]
 REACH = -0.15
-"""Signed distance from a wall [cells] below which a node responds individually, not with its column
-of nodes.
+"""A node whose signed distance from a wall [cells] is smaller responds individually, not together
+with its column of nodes.
 
 A solid rests 0.6 to 0.9 cells above the highest plane of nodes that the wall stops. If the highest
 stopped plane of nodes lies about 0.65 cells inside the wall, the body therefore rests on the wall's

@@ -172,7 +172,7 @@ def _list_materials(scene: Scene) -> list[tuple[str, AnyMaterial]]:
 
 
 def _round(value: float) -> float:
-    """Round to two significant digits, which a user can type."""
+    """Round to two significant digits, so that the number is short to type."""
     return float(f"{value:.2g}")
 
 

@@ -92,7 +92,7 @@ class Bars:
 
     @contextmanager
     def keeping(self) -> Iterator[None]:
-        """Within this context, errors and Ctrl-C end the work, but `status` reports them."""
+        """Store an error or Ctrl-C that ends this context; `status` then reports it."""
         try:
             yield
         except Exception as problem:

@@ -158,7 +158,7 @@ class SceneOptions:
     def study_command(self, sources: Sequence[Path], making: Mapping[str, Any]) -> str:
         """Return the command that measures the error of this scene.
 
-        `making` contains the options for making the Gaussians that differ from their defaults.
+        `making` contains the options for making the Gaussians, without options at their defaults.
         """
         timed = self.frames is not None or self.seconds is not None
         changes = [*self.set, *([f"time.fps={self.fps:g}"] if timed and self.fps else [])]

@@ -116,7 +116,7 @@ class PlyFile:
         seed: int = 0,
         progress: Progress = silent,
     ) -> Gaussians:
-        """Read the file's Gaussians and scale their longest side to 1 m.
+        """Read the file's Gaussians and scale the object's longest side to 1 m.
 
         Raises:
             InputError: For the reasons listed at `read_gaussians`, or if all Gaussians are nearly
@@ -249,8 +249,8 @@ def unit_transform(gaussians: Gaussians, name: str) -> tuple[float, NDArray[np.f
 def robust_bounds(gaussians: Gaussians) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the smallest and largest coordinates [3], [3] of the centres, ignoring outliers.
 
-    The bounds are exact if there are no outliers: they include all Gaussians within `MARGIN` core
-    sizes of the core.
+    The bounds include all Gaussians within `MARGIN` core sizes of the core. Without outliers, the
+    bounds are therefore exact.
     """
     means = gaussians.means.astype(np.float64)
     low = weighted_quantile(means, gaussians.opacities, TAIL)

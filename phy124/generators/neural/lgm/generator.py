@@ -192,7 +192,7 @@ class Lgm:
 def frame_cutout(image_rgba: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Centre a segmented image [H,W,4] in a square [S,S,4], as LGM's program does.
 
-    Colours are multiplied by alpha twice, which darkens soft edges, because LGM's program does so.
+    Like LGM's program, this function multiplies colours by alpha twice, which darkens soft edges.
 
     Raises:
         InputError: If there is no alpha channel or nothing is opaque.
