@@ -389,8 +389,8 @@ class Bodies(Kept):
         self._launch(films.make_film(real), count, inputs, outputs)
 
     def _vibration(self, index: int) -> float:
-        """Return the vibration period [s] of a body on a wall, four times the time in which a wave
-        crosses the body; infinite if liquid surrounds the contact.
+        """Return the vibration period [s] of a body on a wall: four times the time in which a wave
+        crosses the body. The period is infinite if liquid surrounds the contact area.
         """
         _, rims, areas = np.asarray(self._rims.numpy(), np.float64).T
         dry = (areas > 0) & (rims < 2 * np.sqrt(areas))

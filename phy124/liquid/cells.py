@@ -26,14 +26,15 @@ LARGEST = 32
 MOST_CELLS = 2**22
 """Largest number of cells in a window."""
 BULK = 0.01
-"""Largest fraction of the particles outside each side of a window with a limited number of cells.
+"""If the number of cells is limited, the window is placed around the particles without this
+fraction at each end of each axis.
 """
 FAR = 1e3
 """Distance that is stored if no wall is near [cells]."""
 
 
 ROOM = 4
-"""Distance from a solid's surface up to which the solid changes cells [cells]."""
+"""A solid changes the cells up to this distance from its surface [cells]."""
 
 
 def needed_cells(lower: NDArray, upper: NDArray, dx: float) -> NDArray:
@@ -43,7 +44,7 @@ def needed_cells(lower: NDArray, upper: NDArray, dx: float) -> NDArray:
 
 def restrict(x: NDArray, dx: float, most: float) -> tuple[NDArray, NDArray, int]:
     """Return the lower and upper corner [3], [3] of a box [m], and the number of particles outside
-    the box's window of at most `most` cells.
+    the window around the box. The window has at most `most` cells.
     """
     x = x.astype(np.float64)
     lower, upper = np.quantile(x, (BULK, 1 - BULK), axis=0)
@@ -83,7 +84,7 @@ class Region:
 class OverActive:
     """A launch on the CPU with one thread per active cell of a worker.
 
-    An idle thread takes as long as the work of a cheap kernel on one cell.
+    In a cheap kernel, a thread without work takes as long as a thread that processes a cell.
     """
 
     def __init__(self, launch: wp.Launch, ends: NDArray[np.int32]) -> None:
@@ -172,7 +173,9 @@ class Cells:
         """Velocities at the low faces of each cell [m/s], and filled fraction of the cell."""
         self.known, self.also = (self._zeros(count, int) for _ in range(2))
         self.open, self.shares = self._zeros(count, t.vec4), self._zeros(count, t.vec2)
-        """Open fractions of the low faces of each cell; fractions of two B-splines inside walls."""
+        """For each cell, `open` has the open fractions of the low faces, and `shares` has the
+        fractions of two B-splines inside walls.
+        """
         self.covers = self._zeros(count, t.vec3)
         """Fractions of the low faces of each cell that a freely moving solid closes."""
         self.hats, self.phi = self._zeros(count, real), self._zeros(count, real)
@@ -266,7 +269,7 @@ class Cells:
         return wp.zeros(count, dtype=dtype, device=self._model.device)
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the window and the pressure, which is the next initial guess."""
+        """Return the window, and the pressure as the next initial guess."""
         window = [self.low.tolist(), self.size.tolist()]
         return {"window": window, "pressure": wp.clone(self.pressure)}
 

@@ -79,7 +79,9 @@ class LiquidClock(Clock):
         return Substep(limits[limiter], limiter)
 
     def divide(self, rest: float) -> tuple[float, Substep]:
-        """Divide the time `rest` [s] into equal steps; return the step's length [s] and limit."""
+        """Divide the time `rest` [s] into equal steps; return the length [s] of a step, and the
+        limit that determines the length.
+        """
         limit = self.stable()
         dt = rest / max(1, math.ceil(rest / limit.dt - 1e-9))
         of_wall = self.period, RESOLVED, AVERAGED

@@ -20,7 +20,7 @@ from phy124.mpm.tracks import Tracks
 
 STAGE = "dissipation"
 ROOM = 16
-"""Length of each worker's array of sums; no two workers write to one cache line."""
+"""Length of each worker's array of sums, chosen so that no two workers write to one cache line."""
 
 
 class Works(NamedTuple):

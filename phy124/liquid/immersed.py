@@ -1,7 +1,7 @@
 """Advances a projected liquid in steps, and bodies on lattices in substeps.
 
 In each step, the bodies first take trial substeps under the last pressure. The liquid's step uses
-their mean motion.
+the mean motion of the bodies in these substeps.
 """
 
 from collections.abc import Callable, Sequence
@@ -77,7 +77,8 @@ class ImmersedSolver:
             accumulators: Sums that are updated in every substep.
             planes: Not used; there are no freely moving solids.
             pairs: Pairs of bodies whose contact differs from the default.
-            copies: Copy of each of the 27 nodes that a cell uses [C,27]; None: no node has copies.
+            copies: Numbers of the copies of its 27 nodes that each cell uses [C,27]; None: no node
+                has copies.
             still: Bodies that never move.
             threads: Number of CPU threads; None: the fastest number.
             options: Further arguments of `LatticeSolver`.

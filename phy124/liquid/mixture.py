@@ -37,8 +37,9 @@ class Mixture:
             for values, differ in zip(each, self.differ, strict=True)
             if differ
         ]
-        """Volume of each particle times relative density, and times relative viscosity; only for
-        properties that differ. Then the volumes of each liquid, or of the second of two.
+        """The volume of each particle times its relative density, and the volume times its relative
+        viscosity. A property that is equal for all liquids is omitted. Then the volumes of each
+        liquid follow; if there are two liquids, only the volumes of the second liquid.
         """
         self.pairs = list(combinations(range(len(runs)), 2))
         self.sums = wp.zeros(

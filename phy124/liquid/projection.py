@@ -59,8 +59,9 @@ class Projection:
     ) -> list[list[Recorded]]:
         """Return a worker's launches that solve an equation.
 
-        The first begins the solution. Three pairs, advance and improve, follow: for the first, for
-        odd and for even iterations.
+        The first list of launches begins the solution. Three pairs of lists (advance, improve)
+        follow: one pair for the first iteration, one for odd iterations, and one for even
+        iterations.
 
         Args:
             cells: The cells.

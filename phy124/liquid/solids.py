@@ -62,7 +62,7 @@ class Solids:
         tracks: Tracks,
         worker: int,
     ) -> list[list[Recorded]]:
-        """Return a worker's launches before the velocities' divergence is computed.
+        """Return a worker's launches that run before the divergence of the velocities is computed.
 
         Args:
             cells: The cells.
@@ -89,7 +89,7 @@ class Solids:
         return [[(STAGE, lift)], [(STAGE, predict)]]
 
     def jumps(self, cells: Cells, walls: Walls, worker: int) -> Recorded:
-        """Return a worker's launch that writes the rows of J (phy124/kernels/liquid/solids.py)."""
+        """Return a worker's launch that writes the matrix J (phy124/kernels/liquid/solids.py)."""
         inputs = [self.first(walls), cells.lattice, cells.window, cells.open]
         inputs += [cells.covers, cells.distances, cells.owners, cells.liquid, self.centres]
         outputs = [cells.which, cells.jumps, cells.turns]

@@ -297,8 +297,9 @@ class LiquidSolver(Kept):
     def start(self) -> None:
         """Move particles out of walls, and restore the rest density, without changing velocities.
 
-        The observers must have been bound before. The energy balance should not include the lift
-        out of a floor or out of a crowded tank.
+        All observers must be bound before this call. The energy balance starts afterwards, because
+        the balance should not include the lift of the liquid out of a floor or out of a crowded
+        tank.
         """
         self._fit()
         if self.walls.move:

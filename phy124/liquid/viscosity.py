@@ -26,7 +26,7 @@ class Viscosity:
         self.fastest = mixture.viscosity / (mixture.lightest * model.dx**2)
         """Largest rate at which viscosity diffuses velocities to a neighbouring face [1/s]."""
         self.carry = wp.ones(1, dtype=wp.float64, device=model.device)
-        """Factor on the last pressure, which is then the next initial guess."""
+        """The last pressure times this factor is the next initial guess."""
 
     def fit(self, walls: Walls, tracks: Tracks, impulses: WallImpulses) -> None:
         """Set the objects that the launches use."""

@@ -28,7 +28,9 @@ FRAMES = 6
 SECONDS = 0.2
 """Time limit for the timed frames [s]."""
 COST_POWER = 4
-"""The time of substeps is proportional to the number of cells to this power."""
+"""The time for substeps is proportional to the number of cells across the object, raised to this
+power.
+"""
 
 
 class Cost(NamedTuple):
@@ -45,7 +47,7 @@ class Cost(NamedTuple):
 
 
 class Choice(NamedTuple):
-    """A scene on the finest grid that is fast enough on this machine, or on the coarsest grid."""
+    """A scene on the grid that `held_rate` has chosen."""
 
     scene: Scene
     factor: float
@@ -83,7 +85,8 @@ def held_rate(
         max_error: Largest error bound, relative to the object's size. The coarsest grid within this
             bound is chosen, even if it is too slow. If None, the error is not limited.
         shapes: Whether frames contain the shapes of the Gaussians, as for `Live`.
-        show: Function that processes each frame, for example draws it; its time is included.
+        show: Function that processes each frame, for example by drawing the frame. The trial
+            includes the time that this function takes.
 
     Raises:
         InputError: The object or the scene cannot be used, or a number is out of bounds.

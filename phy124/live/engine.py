@@ -88,7 +88,7 @@ class Live:
         self._gaussians, self._shapes, self._crop = gaussians, shapes, crop
         self._context = context or RunContext()
         self.notes: list[str] = []
-        """Sentences about reduced inputs and failed frames."""
+        """Messages for the user about reduced inputs and failed frames."""
         self.reset()
         self.limits = Limits.of(self._run.setup.particles, self._scene)
 
@@ -265,12 +265,12 @@ class Live:
             force: Force [N].
             torque: Torque about `at` [N m].
             at: Position on the moving object [m]; None: the push acts on the whole object.
-            object: Name of the object. If None, the push acts on the object at `at`, or on all
-                objects if `at` is None, too.
+            object: Name of the object. If None, the push acts on the object at the position `at`.
+                If `at` is also None, the push acts on all objects.
             radius: Radius of the pushed material [m]; the force decreases towards the rim.
             seconds: Duration [s].
-            name: Name of the push; it replaces an earlier push of this name. An unnamed push is
-                added to all other pushes.
+            name: Name of the push; the new push replaces an earlier push of this name. An unnamed
+                push is added to all other pushes.
 
         Raises:
             InputError: A number cannot be used, no part of the object is near `at`, or the largest
@@ -356,7 +356,9 @@ class Live:
 
     @property
     def pairs(self) -> dict[str, str]:
-        """The object on which each force between two objects (`duck_on_cushion`) acts."""
+        """The object on which each contact force acts, by the name of the force
+        (`duck_on_cushion`).
+        """
         return places.list_pairs(self._run)
 
     @property
@@ -366,7 +368,7 @@ class Live:
 
     @property
     def points(self) -> dict[str, NDArray[np.float64]]:
-        """The positions of each object's particles [P,3], m; of a rigid object, the centre."""
+        """Positions of each object's particles [P,3], m, or the centre of a rigid object."""
         return places.list_points(self._run)
 
     @property
@@ -476,7 +478,7 @@ class Live:
         self._run.change(self._inputs.scene())
 
     def _note_change(self, value: Vector, sentence: str) -> Vector:
-        """Note a sentence unless the sentence is empty, and return the value."""
+        """Return the value; add the sentence to the notes unless the sentence is empty."""
         if sentence:
             self._note(sentence)
         return value

@@ -1,6 +1,7 @@
 """Records the inputs of a live run as forces and wall motions of a scene.
 
-All times are times of frames. A run of the recorded scene therefore takes the same substeps.
+Every input starts at the time of a frame. A run of the recorded scene therefore takes the same
+substeps.
 """
 
 from bisect import bisect_right

@@ -75,7 +75,7 @@ def _modulus(setup: Setup, index: int) -> float:
 
 
 def list_points(run: Simulation) -> dict[str, NDArray[np.float64]]:
-    """Return the positions of each object's particles [P,3], m; of a rigid object, the centre."""
+    """Return the positions of each object's particles [P,3], m, or the centre of a rigid object."""
     x, body = _positions(run), _objects(run)
     points = {run.scene.names[number]: x[body == number] for number in np.unique(body)}
     return {name: motion.place[None] for name, motion in _list_rigid(run).items()} | points
@@ -114,7 +114,9 @@ def list_motions(run: Simulation) -> dict[str, Motion]:
 
 
 def _list_rigid(run: Simulation) -> dict[str, Motion]:
-    """Return the motions of objects without particles: static, on a path, or moving freely."""
+    """Return the motion of each object that has no particles: a static object, an object on a path,
+    or a free solid.
+    """
     scenery, free, motions = run.setup.scenery, run.solver.free, {}
     tracks, time = dict(scenery.tracks), run.solver.clock.time
     for number, item in enumerate(run.scene.every_object):

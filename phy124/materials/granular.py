@@ -17,7 +17,9 @@ from phy124.materials.lumps import lumps
 ICE = 917.0
 """Density of ice [kg/m^3]."""
 DENSE = 1 / 3
-"""Fraction of the snow denser than ice from which a note says so; about 0.2 in the preset."""
+"""The user gets a note if at least this fraction of the snow is denser than ice. In the preset, the
+fraction is about 0.2.
+"""
 PACKING = 2 / 3
 """Largest product xi c of snow's hardening xi and critical compression c.
 

@@ -12,7 +12,9 @@ from phy124.io.clip import Clip
 from phy124.metrics.pictures import psnr, ssim
 
 SAME_OBJECT = 0.1
-"""Largest RMS distance between equal objects' Gaussians at rest [object sizes]."""
+"""Two objects count as the same object if the RMS distance between their Gaussians at rest is at
+most this value [object sizes].
+"""
 SAME_TIME = 1e-6
 """Two frames count as simultaneous if their times differ by at most this value [s]."""
 

@@ -49,8 +49,9 @@ OBSERVERS: tuple[type[Observer], ...] = (
 )
 """All observers, in the order in which a run calls them.
 
-Each observer adds stages around those of the observers before. `ExternalWork` therefore measures
-all walls together. `Tearing` reads only valid frames, since an error ends the attempt.
+Each observer adds its stages around the stages of the observers before it in this list.
+`ExternalWork` therefore measures all walls together. `Tearing` comes after `Watchdog`. `Tearing`
+therefore reads only valid frames, since an error that `Watchdog` finds ends the attempt.
 """
 
 

@@ -58,7 +58,7 @@ class CoupledWatchdog(LatticeWatchdog):
 
 
 class CoupledWork(ExternalWork):
-    """Sums the external impulse and work on all bodies, on lattices and of particles."""
+    """Sums the external impulse and work on bodies on lattices and on bodies of particles."""
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
         """Connect the observer to the solver, which also sums the impulses of walls on lattices."""

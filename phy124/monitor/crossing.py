@@ -19,7 +19,7 @@ class LatticeCrossing(Observer):
 
     @classmethod
     def called_for(cls, subject: Subject) -> bool:
-        """Return whether the scene has walls that do not only hold material."""
+        """Return whether any boundary of the scene stops material instead of holding it."""
         return not all(wall.holds for wall in subject.scene.boundaries)
 
     def __init__(self) -> None:

@@ -41,8 +41,8 @@ class Diagnostics:
     angular: NDArray[np.float64]
     """Angular momentum about the origin [3], kg m^2/s."""
     kinetic: float
-    """Kinetic energy [J] at the time of the velocities, half a substep before that of the
-    positions.
+    """Kinetic energy [J] at the time of the velocities, which is half a substep before the time of
+    the positions.
     """
     elastic: float
     """Elastic energy [J]."""

@@ -22,7 +22,7 @@ from phy124.mpm.workers import Part
 
 STAGE = "dissipation"
 STRIDE = 16
-"""Length of each worker's row of sums; no two workers write to one cache line."""
+"""Length of each worker's row of sums, chosen so that no two workers write to one cache line."""
 
 
 class Loss(NamedTuple):

@@ -35,12 +35,12 @@ STAGE = "external work"
 PUSH, WALL, UNIFORM = "push", "wall", "uniform"
 """Causes: forces on particles, walls, and a varying uniform acceleration."""
 MEAN_PUSH, MEAN = "mean_push", "mean"
-"""Further causes, for lattices and for projected liquids: forces on points, and walls. Their work
-is computed with the mean velocities of a step.
+"""Further causes, for lattices and for projected liquids: forces on points, and walls. The work of
+these causes is computed with the mean velocities of a step.
 """
 SOURCES = (PUSH, WALL, UNIFORM, MEAN_PUSH, MEAN)
 ROOM = 16
-"""Length of each worker's array of sums; no two workers write to one cache line."""
+"""Length of each worker's array of sums, chosen so that no two workers write to one cache line."""
 IMPULSES = slice(kernels.IMPULSE, kernels.IMPULSE + 3)
 Sums = NDArray[np.float64]
 
@@ -111,13 +111,15 @@ class ExternalWork(Observer):
         """
         self._summed = summed
         self._device: dict[str, wp.array] = {}
-        """Sums [W,ROOM] since launches were last recorded, which are not yet part of the totals."""
+        """Sums [W,ROOM] since launches were last recorded; the totals do not contain these sums
+        yet.
+        """
         self.stored = 0.0
         """Energy gained without motion since the start [J]."""
         self._closed: dict[str, Sums] = {name: np.zeros(kernels.EXCHANGE) for name in SOURCES}
         self._momentum, self._opened = np.zeros(3), 0.0
-        """Momentum at the start of the frame [kg m/s], without impulses that are not yet part of
-        the totals; and the initial time of the velocities [s].
+        """`_momentum` is the momentum at the start of the frame [kg m/s], without the impulses that
+        the totals do not contain yet. `_opened` is the initial time of the velocities [s].
         """
 
     def wrap_forces(self, forces: Sequence[Attachable]) -> list[Attachable]:
@@ -203,7 +205,7 @@ class ExternalWork(Observer):
         return float(self._sum(WALL, MEAN)[kernels.WORK])
 
     def of_grids(self) -> float:
-        """Return the part of `of_walls` for MPM bodies [J]."""
+        """Return the work of the walls on MPM bodies [J], a part of `of_walls`."""
         return float(self._sum(WALL)[kernels.WORK])
 
     def snapshot(self) -> dict[str, Any]:
@@ -266,7 +268,9 @@ class ExternalWork(Observer):
         return model.launch(kernel, 1, inputs, [self._walls_before, sums])
 
     def _set_base(self) -> None:
-        """Store the momentum when the sums were set to zero, and the walls' impulse since then."""
+        """Store the momentum at the time when the sums were set to zero, and the impulse of the
+        walls since that time.
+        """
         self._base.assign(self._momentum + sum(sums[IMPULSES] for sums in self._closed.values()))
         before = [
             sum(self._open(name)[IMPULSES] for name in names if name in self._device)

@@ -143,7 +143,7 @@ class Interior(Observer):
         return clip if motion is None else clip.with_motion(replace(motion, exposed=exposed))
 
     def _list_exposed(self, count: int) -> Exposed | None:
-        """Return the particles exposed in `count` frames, or None.
+        """Return the particles exposed in `count` frames; None if no particle is exposed.
 
         A skipped frame has the same exposed particles as the frame before.
         """
@@ -169,7 +169,9 @@ class Interior(Observer):
 
     @cached_property
     def _objects(self) -> list[tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]]:
-        """For each object: Gaussians, particles that a tear may expose, and their neighbours."""
+        """For each object: Gaussians, particles that a tear may expose, and the neighbours of these
+        particles.
+        """
         rest = self._rest
         elastic = np.array([s.device_law.project is None for s in self._materials])[rest.material]
         free = elastic & (rest.gaussian < 0)

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 
 class LatticeTotals(Totals):
-    """Momentum and kinetic energy of nodes; all other sums of points."""
+    """Sums the momentum and kinetic energy over nodes, and all other quantities over points."""
 
     on_lattice = True
 
@@ -98,8 +98,9 @@ class LatticeWork(MeanWork):
     """External impulse and work from the solver's sums.
 
     If there are other forces, the work of a constant acceleration is also summed in every substep.
-    Positions are known half a substep later than velocities; the error of acceleration times
-    displacement was 32 % of the energy in a wind against gravity.
+    The product of acceleration and displacement would be less exact, because positions are known
+    half a substep later than velocities. In a wind against gravity, the error of this product was
+    32 % of the energy.
     """
 
     _solver: Any = None

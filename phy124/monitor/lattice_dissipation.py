@@ -36,7 +36,8 @@ class LatticeDissipation(LiquidDissipation):
     def divide(self, first: Diagnostics, last: Diagnostics) -> dict[str, float]:
         """Return losses, changes of energy, and work of each cause [J].
 
-        All values refer to the time of the velocities, half a substep before that of the positions.
+        All values refer to the time of the velocities, which is half a substep before the time of
+        the positions.
         """
         works = self._energies.read()
         stiffened = self._external.stored if self._external is not None else 0.0

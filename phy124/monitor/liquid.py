@@ -61,8 +61,8 @@ class LiquidDissipation(Dissipation):
         return Loss(viscous, friction, lost - viscous - friction)
 
     def details(self, loss: Loss, change: float, stored: float) -> dict[str, Any]:
-        """Return the work [J] of each cause, and the parts of the numerical loss; `change` is that
-        of the kinetic energy.
+        """Return the work [J] of each cause, and the parts of the numerical loss. `change` is the
+        change of the kinetic energy.
         """
         works = self._energies.read()
         return {

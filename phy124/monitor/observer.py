@@ -190,7 +190,7 @@ class Observer(Kept):
         """Continue with the forces, boundaries and stiffness of another scene."""
 
     def skip_to(self, index: int) -> float | None:
-        """Return the time [s] of a frame without substeps, otherwise None."""
+        """Return the time [s] of a frame if the frame needs no substeps, otherwise None."""
 
     def before_frame(self, time: float) -> None:
         """Prepare the frame that starts at `time` [s]."""

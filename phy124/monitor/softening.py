@@ -1,8 +1,8 @@
 """Softening: changes Young's modulus over time, frame by frame.
 
 The factor multiplies the parameters of a law that are proportional to E (`Material.scaled`). The
-resulting change of the elastic energy counts as external work, since the energy of a bent body
-increases when it stiffens.
+resulting change of the elastic energy counts as external work, since stiffening increases the
+energy of a bent body.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ class Softening(Observer):
         self._solver.clock.expire()
 
     def notes(self) -> list[str]:
-        """Return a note if the stiffness has a period shorter than two frames."""
+        """Return a note if the stiffness profile repeats in less than the time of two frames."""
         profile, fps = self._scene.stiffness_profile, self._scene.time.fps
         if profile is None or not 0 < profile.period < 2 / fps:
             return []
@@ -89,7 +89,7 @@ class Softening(Observer):
         return {"factor": self.factor}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Set the factor; the restored state includes its work."""
+        """Set the factor without adding work, since the restored state includes the work."""
         self._multiply(snapshot["factor"])
 
     def _multiply(self, factor: float) -> None:

@@ -1,11 +1,12 @@
 """Tearing: detects numerical fracture of material whose constitutive law does not fracture.
 
 Particles interact only through common nodes. If stretching moves particles more than about a cell
-apart, the material separates (docs/design/stability.md). A finer grid does not help, since it
-resolves sharper corners, which are stretched more. More particles per cell help.
+apart, the material separates (docs/design/stability.md). A finer grid does not help: it resolves
+sharper corners, and the material at sharper corners is stretched more. More particles per cell
+help.
 
-Particles stretched by `APART` or more indicate a possible tear, but not in thin stems; separated
-pieces prove a tear.
+Neighbouring particles that are farther apart than `APART` indicate a possible tear, except in thin
+stems. Separated pieces prove a tear.
 """
 
 from __future__ import annotations
@@ -31,11 +32,11 @@ APART = 1.2
 """Distance of neighbouring particles above which material may separate [cells]."""
 MANY, FEW = 5e-3, 3
 """A tear is likely if the number of particles that are farther apart than `APART` exceeds both
-`FEW` and `MANY` P^(2/3), where P is the number of particles. P^(2/3) is about the number of
+`FEW` and `MANY` times P^(2/3), where P is the number of particles. P^(2/3) is about the number of
 particles in a cross-section.
 
-Every duck in tests stayed whole with fewer than 5.2e-3 P^(2/3) of these particles. With 6.7e-3
-P^(2/3), a duck lost its head; with 7.9e-3 P^(2/3), another duck stayed whole.
+In tests, every duck with fewer than 5.2e-3 P^(2/3) of these particles stayed whole. A duck with
+6.7e-3 P^(2/3) of these particles lost its head, but another duck with 7.9e-3 P^(2/3) stayed whole.
 """
 REACH = 1.5
 """Reach of a particle's B-spline [cells]; a wider empty layer separates two pieces."""
@@ -44,7 +45,7 @@ LOOSE = 2e-3
 FLAKE = 8
 """Smallest number of particles in a separated piece."""
 ALONE = 1.0
-"""Distance of particles at rest above which particles have no neighbours [cells]."""
+"""Particles that are farther apart at rest do not count as neighbours [cells]."""
 STURDY = 1e9
 """Stretch limit of particles that are not checked."""
 FAR = 4096
@@ -67,8 +68,9 @@ class Tearing(Observer):
 
     def __init__(self) -> None:
         self.count, self.first, self.stretch = 0, 0, 1.0
-        """Largest number of particles in a frame that are farther apart than `APART`, lowest index,
-        and largest stretch.
+        """`count` is the largest number of particles in a frame that are farther apart than
+        `APART`. `first` is the lowest index of these particles, and `stretch` is the largest
+        stretch.
         """
         self.loose = 0
         """Largest number of separated particles in a frame."""
@@ -218,8 +220,8 @@ class Pieces:
 
 
 def labels(x: NDArray, side: float) -> NDArray[np.int64] | None:
-    """Return the index of each particle's piece [P], with cubes of a side [m]; None if the
-    particles are too scattered.
+    """Return the index of each particle's piece [P]; None if the particles are too scattered. The
+    pieces are found on cubes with the side `side` [m].
     """
     if len(x) == 0 or not np.isfinite(x).all():
         return None

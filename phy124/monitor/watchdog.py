@@ -39,14 +39,13 @@ FEW = 2
 ENERGY_GAIN = 0.25
 """Tolerated spurious energy, relative to the largest supplied energy.
 
-The spurious momentum was below 0.7 % in 99 % of 6,500 random scenes. In the worst scene, the
-spurious momentum reached 13 %. In an unstable run, the spurious energy exceeds any limit within a
-few frames.
+The spurious energy was below 0.7 % in 99 % of 6,500 random scenes. In the worst scene, the spurious
+energy reached 13 %. In an unstable run, the spurious energy exceeds any limit within a few frames.
 """
 EXCHANGE_GAIN = 0.25
-"""Fraction of the largest supplied energy above which energy created by the exchange between a
-liquid and bodies is noted. In 14 test scenes, this energy is at most 15 %. In 3 scenes with foam or
-very light bodies, it is 77 to 148 % (docs/design/liquids.md).
+"""The user gets a note if the exchange between a liquid and bodies creates more energy than this
+fraction of the largest supplied energy. In 14 test scenes, the created energy is at most 15 %. In 3
+scenes with foam or very light bodies, it is 77 to 148 % (docs/design/liquids.md).
 """
 MOMENTUM_GAIN = {"float32": 1e-3, "float64": 1e-6}
 """Tolerated spurious momentum, relative to the transferred momentum."""
@@ -56,8 +55,8 @@ thinner than a cell exert up to a quarter less than their weight on walls. When 
 cells wide hit the floor, the measured momentum is up to 35 % too small.
 """
 LEVEL = 0.05
-"""Error of the level of a resting liquid [cells]. Spurious energy is compared with at least the
-energy of such a lift.
+"""Error of the height of a resting liquid's surface [cells]. The reference for spurious energy is
+at least the energy that lifts the liquid by this height.
 """
 COVERED = 0.2
 """Rise of the level of a projected liquid [cells] that is noted, but does not stop the run. If a
@@ -69,7 +68,7 @@ CROWDED = 0.1
 ROUNDING = {"float32": 1e-5, "float64": 1e-12}
 """Largest energy loss by rounding, relative to the sum of absolute work."""
 QUIET = 1e-9
-"""Smaller energies, relative to volume times stiffness, count as rounding errors."""
+"""Energies below this multiple of volume times stiffness count as rounding errors."""
 COLLAPSE = 0.8
 """Ratio of impact speed to speed of sound above which J of some materials approaches 0."""
 UNSEEN = 3e-4
@@ -78,8 +77,9 @@ FADING = {"float32": 2e-9, "float64": 4e-18}
 """Largest strain per substep due to rounding errors of F.
 
 In a stiff body that rotates slowly, F changes in a substep by less than its last digit. The
-measured strain per substep in float32 is 3e-10, or 7e-10 with half the `accuracy.cfl`. The energy
-is quadratic in the strain, and a quarter of the energy is tolerated.
+measured strain per substep in float32 is 3e-10, or 7e-10 with half the `accuracy.cfl`. A quarter of
+the elastic energy at this strain is tolerated. Elastic energy is quadratic in the strain, so the
+tolerated strain is half of this strain.
 """
 FAST = ("solver", "cells", "push")
 ROUNDED = ("precision",)
@@ -112,13 +112,13 @@ def energy_supplied(start: float, work: float, walls: float) -> float:
     """Return the energy [J] that an object had at the start or gained later, and can therefore
     lose.
 
-    `walls` is the walls' part of the external work [J]; if negative, the loss to friction.
+    `walls` is the work of the walls [J]. Negative work of the walls is energy lost to friction.
     """
     return start + max(work - min(walls, 0.0), 0.0)
 
 
 class Watchdog(Observer):
-    """Checks one run; the balance only together with `ExternalWork`."""
+    """Checks one run; checks the balance only if the run also has the observer `ExternalWork`."""
 
     kept = (
         "_begun",

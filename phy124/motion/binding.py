@@ -66,8 +66,8 @@ def bind(gaussians: Gaussians, particles: Particles | None) -> Binding:
 def pick_values(gaussians: Gaussians, particles: Particles, values: NDArray) -> NDArray:
     """Return a value for each Gaussian [N] from the values of the particles [P].
 
-    The value is that of the particle that represents the Gaussian or, without one, of the nearest
-    particle.
+    The value is that of the particle that represents the Gaussian. If no particle represents the
+    Gaussian, the value is that of the nearest particle.
     """
     # If all values are equal, for example with a single material, no search is needed.
     if len(values) and (values == values[0]).all():
@@ -144,7 +144,8 @@ def find_carriers(
 def _bound_particles(count: int, particles: Particles | None) -> NDArray[np.int32] | None:
     """Return the index of the particle that represents each Gaussian [N].
 
-    The result is None if both have the same order, or if the binding is a lattice.
+    The result is None if `particles` is None (one particle per Gaussian, in order), or if the
+    binding is a lattice.
     """
     if particles is None or (particles.gaussian < 0).all():
         return None

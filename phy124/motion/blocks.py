@@ -9,7 +9,7 @@ import warp as wp
 BLOCK = 1 << 15
 """Number of Gaussians that a CPU thread processes at a time."""
 DEFORMATION = "F"
-"""Placeholder for the deformation gradients of the Gaussians in the arguments of a step."""
+"""In the arguments of a step, this name stands for the deformation gradients of the Gaussians."""
 THREADS = "shapes"
 
 

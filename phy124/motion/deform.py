@@ -1,13 +1,13 @@
 """Moves Gaussians with the material: computes a frame from particles and the Gaussians at rest.
 
-The paper (Phy124, arXiv 2409.07179) decomposes `Sigma_t = F Sigma_0 F^T = Q Lambda Q^T`, with the
-total deformation gradient F, into rotation and scales. This module instead computes the axes from
-`A = F R_0 S_0` (`Sigma = A A^T`), once per frame and in float64, which preserves thin axes and
-positive definiteness (`phy124.kernels.deform`).
+Let F be the total deformation gradient. The paper (Phy124, arXiv 2409.07179) decomposes the
+covariance `Sigma_t = F Sigma_0 F^T = Q Lambda Q^T` into rotation and scales. This module instead
+computes the axes from `A = F R_0 S_0` (`Sigma = A A^T`), once per frame and in float64, which
+preserves thin axes and positive definiteness (`phy124.kernels.deform`).
 
 Orientations are continuous. The order of the axes (one of 24 proper signed permutations) is chosen
 closest to the previous frame, and the sign of q is chosen so that q . q_previous >= 0. Axes of
-equal length rotate with the material; the covariance changes by at most a fraction of 1e-5.
+equal length rotate with the material; the relative change of the covariance is at most 1e-5.
 """
 
 from dataclasses import replace
@@ -55,14 +55,14 @@ class Deformer:
             particles: The particles made from the Gaussians; None: one particle per Gaussian, in
                 order.
             max_stretch: Largest allowed stretch of the longest axis; a number, or a value per
-                Gaussian [N]. Fluid and plastic material need it, because their F grows without
+                Gaussian [N]. Fluid and plastic material need a limit, because their F grows without
                 bound. None: no limit.
             rounds: Mask of the Gaussians that become balls when they are stretched [N], so that
                 fluids do not look like needles; None: no Gaussians.
             flows: Mask of the Gaussians of fluid or granular material [N], whose F grows without
                 bound; None: no Gaussians.
-            holds: Largest stretch of each Gaussian's material [N], with which torn material is
-                drawn. None: no limit.
+            holds: Largest stretch of the material with which each Gaussian is drawn [N]; torn
+                material is stretched further. None: no limit.
             binding: Particles that carry each Gaussian, if already known.
             device: Warp device of the computation.
             threads: Number of CPU threads; does not affect the result.

@@ -1,4 +1,6 @@
-"""Shows Gaussians of inner particles, hidden in the surface until a tear exposes the particles."""
+"""Shows Gaussians of inner particles. The Gaussians stay hidden in the surface until a tear exposes
+the particles.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,6 +1,6 @@
 """Packs a motion into bytes: static arrays without loss, moving arrays with rounding.
 
-Every array is stored as differences, whose bytes of equal significance are grouped and compressed
+Every array is stored as differences. Bytes of equal significance are grouped, and then compressed
 by Zstandard. Positions and F of particles are rounded to `STEP_X` and `STEP_F`. Their differences
 are taken in time, and along a Hilbert curve through the particles at rest.
 """
@@ -21,9 +21,11 @@ from phy124.motion.recorded import Motion
 from phy124.runtime.memory import release, trim
 
 STEP_X = 2e-5
-"""Largest increment to which positions of particles are rounded, relative to the object's size."""
+"""Positions of particles are rounded to multiples of at most this length, relative to the object's
+size.
+"""
 STEP_F = 2.0**-10
-"""Increment to which deformation gradients are rounded."""
+"""Deformation gradients are rounded to multiples of this value."""
 FRAMES = 32
 """Number of frames that are packed together."""
 FAST = 1 << 20

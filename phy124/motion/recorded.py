@@ -178,7 +178,9 @@ class Recorded:
             return row
 
     def measurements(self, *, every: bool = True) -> list[Any]:
-        """Return what `measure` returned for all frames, or only for frames computed so far."""
+        """Return the results of `measure` for all frames; if `every` is false, only for the frames
+        computed so far.
+        """
         for index in range(len(self) if every else 1):
             if index not in self._measured:
                 self.row(index)
@@ -345,7 +347,7 @@ class Computed(NDArrayOperatorsMixin):
         return getattr(np.asarray(self), name)
 
     def first(self, columns: slice) -> Computed:
-        """Return the part of the array for some of the Gaussians, which a slice selects."""
+        """Return the part of the array for the Gaussians that the slice `columns` selects."""
         return Computed(self.recorded, self.name, columns=columns)
 
 

@@ -78,7 +78,9 @@ class Fluctuation:
         return cls(model, state, scheme, v, C, v_noise, C_noise, still)
 
     def carry(self, part: Part, turn: int) -> Recorded:
-        """Record the transfer of the motion to the grid; after pass 0, of the remaining motion."""
+        """Record the transfer of the motion to the grid in pass `turn`. After pass 0, only the
+        motion that remains from the previous pass is transferred.
+        """
         model, run = self.model, part.particles
         v, C = self._left(turn)
         inputs = [part.chosen, model.mass[run], part.nodes.lattice, part.nodes.window]

@@ -29,11 +29,13 @@ LIMITERS = ("elastic", "speed", "gradient", "viscous")
 limit there is the clock's ceiling.
 """
 STRAIN = 1.0
-"""Sum of |C| dt over substeps after which the host continues, so that it can repair particles."""
+"""The host continues when the sum of |C| dt over substeps reaches this value, so that the host can
+repair particles.
+"""
 MOST = 400
-"""Number of substeps after which the host continues, so that it can stop the run. Returning control
-to the host takes about as long as ten substeps. The number is constant, so that a repeated run
-takes the same substeps.
+"""The host continues after this number of substeps, so that the host can stop the run. Returning
+control to the host takes about as long as ten substeps. The number is constant, so that a repeated
+run takes the same substeps.
 """
 
 
@@ -152,7 +154,7 @@ class Graph:
         self._limiters.upload({})
 
     def _download(self) -> int:
-        """Update the clock from the device; return the code of the reason for the end."""
+        """Update the clock from the device; return the code that states why the graph ended."""
         clock, limiters = self._clock, self._limiters.download()
         state = self._progress.download()[0]
         clock.time, clock.last_dt = float(state["time"]), float(state["last"])

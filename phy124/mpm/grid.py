@@ -168,8 +168,8 @@ def fit_all(grids: Sequence[Grid], corners: Sequence[Corners], *, returned: bool
         grids: Grid of each body.
         corners: Corners of the bounding box of each body's particles; infinite if all particles are
             outliers.
-        returned: Whether an outlier has come back to the other particles; it may be outside the
-            window.
+        returned: Whether an outlier has come back to the other particles; the outlier may be
+            outside the window.
 
     Raises:
         Unstable: As in `Grid.fit`.

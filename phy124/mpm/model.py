@@ -209,7 +209,7 @@ class Model:
     def rest_of(self, name: str | None) -> NDArray[np.float64]:
         """Return the rest positions of a body's particles [Q,3], m; None: of all particles.
 
-        The body may also belong only to the model of all bodies (`whole`).
+        The body may belong to the model of all bodies (`whole`) without belonging to this model.
         """
         model = self if self.whole is None else self.whole
         return model.rest[model.named(name)]
@@ -353,7 +353,8 @@ def parameters(
     dx: float,
     cfl: float,
 ) -> NDArray[np.float64]:
-    """Return the parameters of a law's particles: one row if all are equal, otherwise one each.
+    """Return the parameters of a law's particles: one row if all are equal, otherwise a row per
+    particle.
 
     Args:
         materials: All materials.

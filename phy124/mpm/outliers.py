@@ -118,7 +118,9 @@ class Outliers(Kept):
         self.most = max(self.most, len(out))
 
     def _beyond(self) -> NDArray[np.int32]:
-        """Return the outliers' indices; the comparison uses the device's precision."""
+        """Return the indices of the outliers; their positions are compared in the device's
+        precision.
+        """
         (low, high), x = self.corners.numpy(), self._state.x.numpy()
         return np.flatnonzero(~np.all((x >= low) & (x <= high), axis=1)).astype(np.int32)
 

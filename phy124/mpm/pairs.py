@@ -98,7 +98,8 @@ class Pairs(Kept):
     def rows(self) -> tuple[wp.array, wp.array]:
         """Return sums of impulses, with a row for each worker and pair, and a sign for each row.
 
-        The sign is 1 or -1 if the first or the second body of the pair is fixed, otherwise 0.
+        The sign is 1 if the first body of the pair is fixed, -1 if the second body is fixed, and
+        otherwise 0.
         """
         workers, pairs, room = self._sums.shape
         signs = np.tile(self._signs(), workers)
@@ -175,6 +176,6 @@ def kernels(real: Any) -> list[Any]:
 
 
 def _overlap(first: Grid, second: Grid) -> Box:
-    """Return the first node in both windows, and the node after the last."""
+    """Return the first node that lies in both windows, and the node after the last such node."""
     low = np.maximum(first.low, second.low)
     return low, np.minimum(first.low + first.size, second.low + second.size)

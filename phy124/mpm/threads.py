@@ -45,7 +45,7 @@ class Team:
         self._barrier: Barrier | None = None
         self._tasks: list[Task | None] = [None, None]
         """The last two tasks of the team, since members may read a task after the next task has
-        started. Tasks are not kept after the threads have ended, because a task refers to arrays.
+        started. The tasks are discarded when the threads end, because tasks keep arrays in memory.
         """
         self._started = 0
         self._errors: list[BaseException | None] = []

@@ -114,7 +114,7 @@ def stable_substep(
 
 
 def decay(value: float, substeps: int) -> float:
-    """Return the value that is assumed some substeps after a measurement: a decay by `MEMORY`."""
+    """Return the decayed value that is assumed `substeps` substeps after a measurement."""
     return MEMORY ** (substeps / MEASURE_EVERY) * value
 
 

@@ -18,7 +18,9 @@ from phy124.materials import AnyMaterial
 from phy124.particles.seeding import Particles
 
 SIZE = 0.55
-"""Standard deviation of a grain, in particle spacings; regular arrangements then look opaque."""
+"""Standard deviation of a grain, in particle spacings. With this size, regular arrangements of
+grains look opaque.
+"""
 CLEARANCE = 2.5
 """Smallest depth of a grain below the surface, in standard deviations of the grain."""
 NEAREST = 0.5
@@ -31,7 +33,7 @@ PATCH = 0.06
 CELLS = 48
 """Number of cells along each axis of the grid for the filter."""
 BRIGHTEST = 99.0
-"""Percentile of the brightness that is at most white after Gaussians are tinted."""
+"""Percentage of the tinted Gaussians whose colours are at most as bright as white."""
 COARSEST = 0.005
 """Largest size of the grains of a rough surface, relative to the object's longest side."""
 FINE = 0.006
@@ -126,7 +128,7 @@ def tint(
 ) -> Gaussians:
     """Tint Gaussians in the colour of the material, and keep some of the picture's light and shade.
 
-    If a colour would be brighter than white, all Gaussians are darkened.
+    If more than 1 % of the colours would be brighter than white, all Gaussians are darkened.
 
     Args:
         gaussians: N Gaussians.

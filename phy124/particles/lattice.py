@@ -92,7 +92,7 @@ def _lattice_of(solid: Solid, dx: float) -> Particles:
 
 
 def cells_of(points: Particles) -> Particles:
-    """Return a particle for each cell of eight points."""
+    """Return one particle for each cell, instead of the eight points of the cell."""
     centre = points.x.reshape(-1, PER_CELL, 3).mean(axis=1)
     return Particles(
         x=centre,
@@ -314,8 +314,8 @@ def _outermost(rows: NDArray, side: float) -> NDArray[np.float64]:
 
 
 def _highest(rows: NDArray, cube: NDArray) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the index of the outermost point in each of C cubes [C], and the position of each
-    point's cube in this list [S].
+    """Return the index of the outermost point in each of C cubes [C], and the number of each
+    point's cube, from 0 to C - 1 [S].
     """
     _, which = np.unique(cube, return_inverse=True)
     count = which.max(initial=-1) + 1

@@ -60,7 +60,7 @@ def merge_groups(
     """Merge the Gaussians of each of G groups; `group` [N] has the index of each Gaussian's group.
 
     Mass, mean and colour are kept. With prescribed `opacities` [G], sizes are adapted to preserve
-    the mass; otherwise the covariance is kept, too, up to the limit `OPAQUE`.
+    the mass. Otherwise the covariance is also kept, unless the opacity would exceed `OPAQUE`.
     """
     volume = gaussians.scales.astype(np.float64).prod(axis=1)
     mass = np.maximum(gaussians.opacities * volume, 1e-300)

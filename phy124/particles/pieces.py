@@ -6,7 +6,7 @@ gets integration points, and each connected piece in the support of a node gets 
 Faure 2009, doi 10.1145/1531326.1531358).
 
 Voxels are connected by faces, edges and corners, so that a thin slanted sheet stays whole. Parts
-without connection to the body, such as specks, share its nodes.
+without connection to the body, such as specks, share the body's nodes.
 """
 
 from typing import NamedTuple
@@ -26,8 +26,8 @@ LEAST = 0.08
 of 0.03, a thin disc turned inside out when it was pushed.
 """
 TOUCH = np.abs(AROUND[:, None] - AROUND[None]).max(axis=2) <= 1
-"""For each pair of offsets in `AROUND`: whether they lead to neighbours or to the same place
-[27,27].
+"""For each pair of offsets in `AROUND`: whether the two offsets lead to neighbours or to the same
+place [27,27].
 """
 
 
@@ -196,8 +196,8 @@ def _copies_of_parts(
 
 
 def _same_nodes(step: NDArray[np.int64]) -> NDArray[np.int8]:
-    """Return the numbers [L,27] that the nodes of a cell have in the cell at `step` [L,3]; -1:
-    none.
+    """Return the number that each node of a cell has in another cell [L,27]; -1: the other cell
+    does not use the node. The other cell lies at the index offset `step` [L,3].
     """
     ways = np.array(list(np.ndindex(5, 5, 5)))[:, None] - 2 + AROUND
     table = np.where((np.abs(ways) <= 1).all(axis=2), (ways + 1) @ [9, 3, 1], -1).astype(np.int8)

@@ -18,7 +18,7 @@ from phy124.particles.surface import Cubes, Surface
 ROUNDING = 1e-9
 """Borders of voxels that differ by less count as equal [voxels]."""
 SMALLEST = 1e-6
-"""Shortest side of a part of a cube that is not ignored [new voxels]."""
+"""A part of a cube is ignored if one of its sides is shorter than this [new voxels]."""
 
 
 class Material(NamedTuple):

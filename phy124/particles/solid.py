@@ -51,8 +51,8 @@ COARSER = 1.2
 SEAL = 0.065
 """Half of the width of the widest sealed gap, relative to the object's longest side."""
 CONNECTED = 6
-"""Smallest mean number of occupied neighbours (of 26) of an occupied voxel in a connected surface
-or cloud.
+"""A surface or cloud is connected if an occupied voxel has on average at least this number of
+occupied neighbours (of 26).
 """
 WHOLE = 1 - 1e-9
 MEMORY = 2
@@ -70,8 +70,8 @@ class Solid:
     fraction: NDArray[np.float32]
     """Fraction of each voxel that is inside the object [X,Y,Z], 0..1."""
     surface: Surface | None = None
-    """Material of the voxels at the surface; None: see `source`, or all voxels are filled
-    evenly.
+    """Material of the voxels at the surface. If None, the material is that of `source`; without
+    `source`, all voxels are filled evenly.
     """
     source: Solid | None = None
     """The solid from which this solid was resampled."""
@@ -199,7 +199,7 @@ class _Voxels:
 
 
 def _voxelise(gaussians: Gaussians) -> _Voxels:
-    """Return the finest grid on which samples are connected, or the finest grid of all."""
+    """Return the finest grid on which samples are connected; if there is none, the finest grid."""
     extent = _extent(gaussians)
     finest, voxel = None, float(extent.max()) / ACROSS
     while finest is None or voxel <= 4 * finest.voxel:

@@ -24,11 +24,14 @@ Array = NDArray[Any]
 Mask = NDArray[np.bool_]
 
 FLAT = 0.3
-"""Largest shortest standard deviation of a flat Gaussian, relative to the second shortest."""
+"""A Gaussian is flat if its shortest standard deviation is less than this multiple of the second
+shortest.
+"""
 WINDOW = 5
 """Side of the cube of material around a sample [voxels]."""
 NOISE = 0.15
-"""Standard deviation of flat Gaussians from their face that counts as noise [voxels]."""
+"""Distances of flat Gaussians from their face with this standard deviation count as noise [voxels].
+"""
 PARALLEL = 0.95
 """Smallest cosine of the angle between the normals of parallel faces."""
 OPPOSITE = 0.7
@@ -45,15 +48,15 @@ THINNEST = 0.1
 BEYOND = 0.2
 """Distance by which flat Gaussians may stick out beyond a convex edge [voxels]."""
 PREFERRED = 0.6
-"""The part below a face in a neighbouring voxel is preferred if the part is thinner than this
-multiple of the thickness in the voxel.
+"""The face of a neighbouring voxel is preferred if the part below that face is thinner than this
+multiple of the part below the voxel's own face.
 """
 PARTS = 2
 """Parts along each axis into which a voxel at an edge is divided."""
 AT_ONCE = 100_000
 """Number of rotation matrices in memory at one time."""
 UP = (0.0, 0.0, 1.0)
-"""Normal of a sample at the centre of the material around it, such as a single sample."""
+"""Normal of a sample that lies at the centre of the material around it, as a single sample does."""
 AROUND = [step for step in np.ndindex(3, 3, 3) if step != (1, 1, 1)]
 """Steps to the 26 neighbours, from the lower corner of the block of 27 voxels."""
 
@@ -117,7 +120,7 @@ class _Faces(NamedTuple):
     voxel: Array
     """Index of each face's voxel in the flattened grid [K]."""
     side: Array
-    """Side of a cube, 0 to 5, closest to each normal [K]."""
+    """Index, 0 to 5, of the side of a cube to which each normal is closest [K]."""
     samples: Array
     middle: Array
     """Mean positions of the samples [K,3]."""
@@ -280,8 +283,8 @@ def _look_up(region: Mask, points: Array) -> Mask:
 def _find_faces_around(faces: _Faces, border: Mask) -> _Near:
     """Return the faces near each voxel at a border.
 
-    The main face is the face of the thinnest part. In thick parts, it is the face in the voxel with
-    most samples, or the nearest face.
+    The main face is the face of the thinnest part. In thick parts, the main face is the face with
+    the most samples in the voxel. If the voxel has no face, the main face is the nearest face.
     """
     table = np.full((border.size, 6), -1, np.int32)
     table[faces.voxel, faces.side] = np.arange(len(faces.voxel))

@@ -22,7 +22,7 @@ from phy124.particles.solid import ACROSS, Solid
 FRACTION = 0.1
 """Fraction of an object's volume that may be thinner than the reported thickness."""
 FOOT = 0.12
-"""Fraction of an object's height, at its foot, that is clamped."""
+"""Fraction of an object's height that is clamped, measured from the foot."""
 
 
 class Proportions(NamedTuple):
@@ -87,8 +87,8 @@ def _inside(shape: Solid) -> NDArray[np.bool_]:
 
 @lru_cache(maxsize=4)
 def local_thickness(shape: Solid) -> float:
-    """Return the thickness [m] that all but `FRACTION` of the object's volume exceeds, at least a
-    voxel.
+    """Return the thickness [m] that all but `FRACTION` of the object's volume exceeds, but at least
+    the side of a voxel.
     """
     # Removing the empty voxels around the solid halves the time to compute distances.
     inside = np.pad(_inside(shape), 1)

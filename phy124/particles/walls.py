@@ -32,7 +32,7 @@ CHOSEN = 1000
 
 
 def is_wall(means: Array, normals: Array, near: Array) -> bool:
-    """Return whether most of some Gaussians belong to a wall with two sides.
+    """Return whether most of the Gaussians `near` belong to a wall with two sides.
 
     Args:
         means: Centres of all Gaussians [N,3].

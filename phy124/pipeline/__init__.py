@@ -75,9 +75,10 @@ def generate(
         context: Device, threads, progress and stopwatch.
         goal: Largest error or longest time, for which the accuracy is chosen
             (`phy124.accuracy.choose`).
-        forecaster: Predicts the time of the run; the report states both times.
+        forecaster: Predicts the time of the run. The report states the predicted and the actual
+            time.
         keep: Whether a cancelled run keeps its frames for `go_on`.
-        error: Whether the error of the run is estimated if this takes little time.
+        error: Whether to estimate the error of the run, if the estimate takes little time.
         **making: `device`, `threads` and `progress` if there is no context, and options of
             `phy124.pipeline.gaussians.make_object`.
 
@@ -135,15 +136,16 @@ def simulate(
         out: The folder to write.
         context: Device, threads, progress and stopwatch.
         about: Entries of the report that describe how the Gaussians were made.
-        crop: Position of the object in the picture with the masks of parts.
+        crop: Position of the object in the picture on which the masks of parts were painted.
         cutout: The cut-out, which is saved with the results.
         goal: Largest error or longest time, for which the accuracy is chosen
             (`phy124.accuracy.choose`).
-        forecaster: Predicts the time of the run; the report states both times.
+        forecaster: Predicts the time of the run. The report states the predicted and the actual
+            time.
         keep: Whether a cancelled run saves and renders its frames, for `go_on`.
         films: Whether videos are made.
         rescues: Whether finished frames are saved if the run fails or its folder has no space.
-        error: Whether the error of the run is estimated if this takes little time
+        error: Whether to estimate the error of the run, if the estimate takes little time
             (`phy124.accuracy.companion`).
         each: Called with the simulation and every frame, except in trial runs for `goal`.
         **fields: `device`, `threads` and `progress`, if there is no context.
@@ -210,7 +212,7 @@ def go_on(
             number is used.
         any_accuracy: Whether the accuracies of the run and of `scene` may differ, as with a goal.
         keep: Whether the run is saved again if `progress` cancels it.
-        error: Whether the error of the run is estimated if this takes little time.
+        error: Whether to estimate the error of the run, if the estimate takes little time.
         **fields: `device`, `threads` and `progress`, if there is no context.
 
     Raises:

@@ -129,7 +129,8 @@ def make_object(
         views: Further pictures of the object, for `relief`.
         on_cutout: Called with each cut-out before the slow steps.
         on_estimate: Called with the forecast of a slow generator before it starts.
-        preview_with_relief: Whether a slow generator is replaced by `relief`, for a forecast.
+        preview_with_relief: Whether `relief` replaces a slow generator, so that a forecast takes
+            little time.
         count: Largest number of Gaussians.
 
     Raises:
@@ -217,7 +218,8 @@ def with_others(
         on_cutout: Called with each cut-out before the slow steps.
 
     Raises:
-        InputError: A picture or file cannot be used, or there are more of them than objects.
+        InputError: A picture or file cannot be used, or there are more pictures and files than
+            objects.
     """
     check_sources(scene, more)
     if not scene.objects:

@@ -34,7 +34,7 @@ GUESS = 4e8
 TRIM = 32
 """Number of frames after which freed memory is returned to the system."""
 HEADER, PER_FRAME = 32_000, 120
-"""Space for the report in the clip's file [bytes], fixed and for each frame."""
+"""Space for the report in the clip's file [bytes]: a fixed size, and a size for each frame."""
 
 
 class Recording:
@@ -54,7 +54,7 @@ class Recording:
         Args:
             out: The folder of the run; None: nothing is written.
             about: Entries of the report that are known before the run ends.
-            files: Further result files by name, which are saved with the state.
+            files: Further result files by name; the files are saved with the state.
             frames: The frame file of a continued run.
             saved: Number of frames that the continued run has computed.
         """
@@ -199,7 +199,7 @@ class Recording:
 
 
 def take_up(out: Path | None, context: RunContext) -> tuple[Simulation | None, Recording]:
-    """Return the interrupted run in a folder, if it can be continued, and its recording."""
+    """Return the interrupted run in a folder, if the run can be continued, and its recording."""
     if out is not None:
         sweep(out)
     if out is None or not (out / PAUSE).is_file():

@@ -76,7 +76,7 @@ class RunFolder:
     """Whether finished frames are saved if the run fails or its folder has no space."""
     predicted: Forecast | None = None
     error: bool = True
-    """Whether the error is estimated if this takes little time."""
+    """Whether to estimate the error of the run, if the estimate takes little time."""
     packing: Future[Packed | None] = field(init=False)
     """The packed motion of the clip."""
 
@@ -91,7 +91,7 @@ class RunFolder:
 
         Raises:
             Incomplete: Not everything could be made or written; the message names the saved files.
-            Cancelled: The context's `progress` raised it, and `keep` is not set.
+            Cancelled: The context's `progress` raised `Cancelled`, and `keep` is not set.
         """
         before = list_results(self.out) - {PAUSE}  # this run may write a file with the same name
         try:
@@ -169,7 +169,9 @@ class RunFolder:
             raise
 
     def _film(self, clip: Clip, scene: Scene, folder: Path) -> tuple[bool, Exception | None]:
-        """Render the videos; return whether this was cancelled, and the exception if it failed."""
+        """Render the videos; return whether the rendering was cancelled, and the exception if it
+        failed.
+        """
         if not self.films:
             return False, None
         trim()

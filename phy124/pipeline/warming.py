@@ -45,7 +45,7 @@ def warm(scenes: Sequence[Scene], context: RunContext) -> int:
 
 
 def object_of_points() -> Gaussians:
-    """Return a ball of Gaussians that are much smaller than their distances.
+    """Return a ball of Gaussians that are much smaller than the distances between them.
 
     The solid of such a ball has only an eighth of the usual number of voxels.
     """

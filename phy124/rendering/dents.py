@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 from phy124.rendering.matte import LAMP_LIGHT, SKY, SMOOTH, blur, locate, number
 
 PATCH, LARGEST = 0.7, 1 / 48
-"""Size of the surface patches: in cells of the simulation, and at most as a fraction of the solid's
-longest side. On coarse grids, patches would otherwise be thicker than horns and ears.
+"""Size of the surface patches in cells of the simulation, and their largest size as a fraction of
+the solid's longest side. On coarse grids, patches without this limit would be thicker than horns
+and ears.
 """
 SIDE = 0.7
 """Difference between two unit normals that counts as much as a distance of one patch."""
@@ -67,7 +68,9 @@ class Dents:
         return self._mean @ x
 
     def normals(self, x: NDArray) -> NDArray[np.float32]:
-        """Return the outward unit normals of the patches [m,3]; 0 for a patch on a line."""
+        """Return the outward unit normals of the patches [m,3]; 0 if the neighbours of a patch lie
+        on a line.
+        """
         centres = self.centres(x)
         return _unit(np.cross(self._along @ centres, self._across @ centres)).astype(np.float32)
 

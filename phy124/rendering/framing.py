@@ -28,8 +28,8 @@ follows the object.
 WINDOW = 0.3
 """A moving camera shows all positions of the object within this time around each frame [s]."""
 NEARER = 1.1
-"""With several objects, the camera moves in and out if it thus enlarges them by this factor in most
-frames.
+"""With several objects, the camera moves in and out if the objects then look larger by at least
+this factor in most frames.
 """
 MORE = 1.5
 """Largest factor by which the camera's distance may grow to show a whole container."""

@@ -21,13 +21,17 @@ from phy124.kernels.splat import discs, fields
 from phy124.kernels.splat.discs import BLUR, LEVEL
 
 WHOLE = 0.945
-"""Standard deviation of a point on the grid after the filter and the eight cells [cells]."""
+"""The eight cells around a point and the filter spread the point on the grid. This is the standard
+deviation of the spread [cells].
+"""
 MOST = 4_000_000
 """Largest number of cells; for a scattered liquid, the cells are made larger."""
 SAMPLE = 8192
 """Number of a liquid's points from which the extent of the grid is determined."""
 LITTLE = 0.02
-"""Smallest fraction of space in front of walls by which averages over this space are divided."""
+"""Averages over the space in front of walls are divided by the fraction of this space, but by at
+least this value.
+"""
 THICKER = 4.0
 """Largest factor by which volumes are increased where the liquid is thin at rest."""
 CLEAR = 1e6

@@ -44,9 +44,11 @@ TRIES = 8
 ZOOM = 40.0
 """Largest factor by which the field of view is narrowed."""
 ROOM = 1.08
-"""Width of the picture divided by that of the whole motion; the same holds for heights."""
+"""Width of the picture divided by the width of the whole motion; the same ratio holds for heights.
+"""
 MOST = 0.8
-"""Fraction of the frames that determine a motion's usual extent; the others are rare moments."""
+"""Fraction of the frames that determine a motion's usual extent; the other frames are rare moments.
+"""
 RARE = 1.5
 """The camera follows the object if rare moments enlarge a motion's extent by this factor."""
 
@@ -119,7 +121,9 @@ class Sample:
         return Sample(whole, np.concatenate([self.covariances, shapes], axis=1), self.corners)
 
     def follow(self) -> Sample:
-        """Return the sample relative to the object's path, as seen by a camera that follows it."""
+        """Return the sample relative to the object's path, as seen by a camera that follows the
+        object.
+        """
         return Sample(self.means - self.path[:, None], self.covariances)
 
     def has_rare_moment(self, largest: float) -> bool:
@@ -171,7 +175,7 @@ def place_nearest(sample: Sample, cameras: list[Camera], *, zooms: bool = True) 
     Args:
         sample: The object in motion.
         cameras: A camera for each frame. The camera defines the orientation and the field of view.
-            If the cameras turn during the clip, it also defines the target.
+            If the cameras turn during the clip, the camera also defines the target.
         zooms: Whether the field of view may narrow so that the camera keeps the distance `DEPTHS`.
     """
     seen, halves = _Seen.by(sample, cameras), np.array(cameras[0].halves) / ROOM
@@ -201,7 +205,7 @@ def place_along(
     Args:
         sample: The object in motion.
         cameras: A camera for each frame. The camera defines the orientation and the field of view.
-            If the cameras turn during the clip, it also defines the target.
+            If the cameras turn during the clip, the camera also defines the target.
         still: The nearest camera positions that show the whole motion. The zoom of these positions
             is used and, if the cameras turn, also the target.
         window: Each frame's camera also shows this number of frames before and after the frame.
@@ -277,7 +281,9 @@ class _Seen:
         return Standing(float(edges.max()), np.zeros(3), zoom)
 
     def _between(self, edges: Values, halves: Values) -> tuple[Values, Values]:
-        """Return distances [...] m and shifts [...,3] m that show the space between edges."""
+        """Return the distances [...] m and shifts [...,3] m of cameras that show the space between
+        edges.
+        """
         shift = halves * (edges[..., 0] - edges[..., 1]) / 2
         return edges.sum(axis=-1).max(axis=-1) / 2, shift @ self.axes[0, :2]
 

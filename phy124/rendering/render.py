@@ -333,7 +333,9 @@ class Renderer:
         return corners.cumsum(0, np.int64).cumsum(1)[:-1, :-1].ravel()
 
     def _bin_on_device(self, n: int, view: Any) -> tuple[Any, Any, Any]:
-        """The number of splats stays on the device; more than `_room` entries leave empty lists."""
+        """The number of splats stays on the device. If the lists need more than `_room` entries,
+        the lists stay empty.
+        """
         tiles, room = view.rows * view.columns, self._room
         before: Any = self._buffers["before"]
         starts, ends = (self._buffer(name, tiles, wp.int32)[:tiles] for name in ("starts", "ends"))

@@ -78,7 +78,7 @@ def _pip() -> str:
 
 
 def _short(path: Path) -> str:
-    """Quote a path for a shell, relative to the current folder if it is inside this folder."""
+    """Quote a path for a shell; a path inside the current folder becomes relative."""
     here = Path.cwd()
     path = path if path.is_absolute() else here / path
     return shlex.quote(str(path.relative_to(here) if path.is_relative_to(here) else path))

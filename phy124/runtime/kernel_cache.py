@@ -37,7 +37,7 @@ PROCESS = re.compile(r"_p(\d+)_t\d+$")
 LOCKS = "locks"
 """Folder in the cache with lock files, one for each hash of a module."""
 LONGEST_WAIT = 120
-"""Longest wait for another process that compiles the same module [s]; it may have been paused."""
+"""Longest wait for another process that compiles the same module [s]; the process may be paused."""
 INSTANTIATE = "-fpch-instantiate-templates"
 """Compiler flag: instantiate the templates of the headers once, when the headers are precompiled.
 

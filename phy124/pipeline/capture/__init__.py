@@ -1,7 +1,8 @@
 """Turns a 3DGS capture of a real place into an object that stands on the floor of this place.
 
 The floor is detected and never moves. Contact is computed between the object and the scene's
-ground, which is at the same height. The object's longest side becomes `object.size`.
+ground, which is at the height of the detected floor. The object's longest side becomes
+`object.size`.
 """
 
 from contextlib import nullcontext

@@ -17,11 +17,13 @@ TRIALS = 2000
 SAMPLE = 4000
 """Number of points with which each trial plane is tested."""
 THICKNESS = 0.02
-"""Largest distance of points of a trial plane, relative to the scene's spread."""
+"""Points belong to a trial plane up to this distance from the plane, relative to the scene's
+spread.
+"""
 SIGMAS = 3.0
-"""Largest distance of points of the floor, in standard deviations."""
+"""Points belong to the floor up to this distance from the floor, in standard deviations."""
 MIN_FRACTION = 0.1
-"""Smallest fraction of all points in a floor."""
+"""Smallest fraction of all points that must belong to a floor."""
 NEAR = 0.7071
 """Cosine of the largest angle between the floor's normal and a known up direction."""
 
@@ -37,7 +39,7 @@ class Floor:
     offset: float
     """Distance from the origin along the normal, in the file's units."""
     tolerance: float
-    """Largest distance of points of the floor, in the file's units."""
+    """Points belong to the floor up to this distance from the floor, in the file's units."""
 
     def heights(self, points: NDArray) -> Vectors:
         """Return signed heights [N] of points [N,3] above the floor."""
@@ -99,8 +101,8 @@ def _near(x: Vectors, normal: Vectors, offset: float, tolerance: float) -> int:
 
 
 def _fit(x: Vectors, normal: Vectors, offset: float) -> tuple[Vectors, float, float]:
-    """Fit a plane to the points near a plane; also return the largest distance of points
-    from it.
+    """Fit a plane to the points near a given plane; return the normal, the offset, and the largest
+    distance of points that belong to the fitted plane.
     """
     tolerance = THICKNESS
     for _ in range(12):

@@ -22,8 +22,8 @@ SIZES = (1.0, 0.8)
 much.
 """
 AROUND = 9
-"""Side of the square of pixels around a Gaussian whose range of colours limits the Gaussian's
-colour [px].
+"""A Gaussian's colour is limited to the range of colours in a square of pixels around the Gaussian.
+This is the side of the square [px].
 """
 BEHIND = 0.03
 """Visible Gaussians are at most this far behind the front surface [depth of the object]."""
@@ -134,7 +134,8 @@ class Adjoint(Renderer):
     def sums(
         self, gaussians: Gaussians, camera: Camera, values: NDArray
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Return the weighted sums of pixel values for each Gaussian [N,3], and of the weights [N].
+        """Return the weighted sums of pixel values for each Gaussian [N,3], and the sums of the
+        weights [N].
 
         With the matrix W that maps the Gaussians' colours to pixels, these are `W^T values` and
         `W^T 1`. `values` is [H,W,3].

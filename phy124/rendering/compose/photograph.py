@@ -39,7 +39,9 @@ SMALL = 128
 CLEARER = 1.0
 """A raised camera is assumed only if it improves the PSNR by at least this difference [dB]."""
 RIM = 0.008
-"""Width of the border compared with the object, relative to the photograph's longest side."""
+"""Width of the border that is compared in addition to the object, relative to the photograph's
+longest side.
+"""
 ROUNDS = (False, False, False, True, True)
 """For each round: whether only the object and a thin border are compared with the photograph."""
 
@@ -224,7 +226,9 @@ def _correct_camera(
 
 
 def _near(photograph: Photograph) -> NDArray[np.uint8]:
-    """The border is needed because flat ends of the object are rendered too long."""
+    """Return a mask of the object and a border. The border is needed because flat ends of the
+    object are rendered too long.
+    """
     import cv2
 
     reach = max(1, round(RIM * max(photograph.alpha.shape)))

@@ -166,7 +166,7 @@ def glass(caster: Caster, solids: Iterable[Solid], floor: float) -> Iterator[Gla
     """Yield the optical depth that each glass solid adds to two layers of the shadow map.
 
     The layers are just below and just above the solid's lowest point. The optical depth is
-    interpolated linearly between them.
+    interpolated linearly between the two layers.
     """
     for solid in solids:
         x, y, z = solid.centre.tolist()

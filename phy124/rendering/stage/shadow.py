@@ -39,7 +39,9 @@ SOFTNESS = 0.25
 LAMP, SKY = 0.22, 0.32
 """Fractions of the floor's light from the lamp and from the sky; the rest casts no shadow."""
 SAMPLE = 65536
-"""Largest number of Gaussians that cast shadows; a sample of more Gaussians casts wider shadows."""
+"""Largest number of Gaussians that cast shadows. If there are more Gaussians, a sample of the
+Gaussians casts wider shadows.
+"""
 GLASS = 0.25
 """Opacity of boundaries, which are drawn as glass."""
 FAINT = 2 / 255

@@ -102,7 +102,9 @@ def span_container(container: Container, low: NDArray, high: NDArray) -> Corners
 
 
 def _shape(part: Boundary, body: AtRest) -> tuple[str, NDArray[np.float64] | None]:
-    """A plug-in with another distance function is rendered as its bounding box, if it has one."""
+    """Return the shape and the geometry to render. A plug-in with another distance function is
+    rendered as its bounding box, if the box is finite.
+    """
     with suppress(NotImplementedError, AttributeError):
         if (outline := part.outline()) in SHAPES:
             return outline, np.array(part.geometry(body), float)
@@ -154,7 +156,9 @@ def _panel(wall: PlacedWall) -> Solid:
 
 
 def _frame_of(normal: NDArray) -> NDArray[np.float64]:
-    """Return unit vectors [3,3]: the normal, a horizontal one if possible, one normal to both."""
+    """Return three perpendicular unit vectors [3,3]. The first is the normal, and the second is
+    horizontal if possible.
+    """
     up = np.array([0.0, 0.0, 1.0]) if abs(normal[2]) < LEVEL else np.array([1.0, 0.0, 0.0])
     second = np.cross(up, normal)
     second /= np.linalg.norm(second)
