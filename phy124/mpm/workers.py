@@ -146,7 +146,7 @@ class Slabs:
 
     @property
     def outgrown(self) -> bool:
-        """Whether the slabs have grown so much that a new division would save time."""
+        """Whether the slabs have grown enough for a new division to save time."""
         if self._share == 0:
             self._share = self.share
         return len(self.pool) > NODES * len(self._model) and self.share > GROWN * self._share
