@@ -195,7 +195,9 @@ class Cells:
         self.which = self._zeros(count, int)
         """For each cell, the index of the solid whose surface is in the cell; -1: none."""
         self.jumps, self.turns = (self._zeros(count, wp.vec3d) for _ in range(2))
-        """For each cell, the flux out of it per unit (angular) velocity of the solid in `which`."""
+        """For each cell, the flux out of the cell per unit velocity, and per unit angular velocity,
+        of the solid in `which`.
+        """
         self.active, self.listed = (self._zeros(count, int) for _ in range(2))
         self.ends = self._zeros(self._copies + 1, int)
         """For each worker, the index of its first active cell; then the number of active cells."""

@@ -32,7 +32,7 @@ class Works(NamedTuple):
     friction: float
     """Work of friction at walls, and of impacts of particles on walls."""
     projection: float
-    """Work of the pressure, of solids and of bodies; without the work of walls."""
+    """Work of the pressure, of solids and of bodies, but not of walls."""
     density: float
     """Work of the uniform acceleration while particles are displaced."""
 

@@ -251,8 +251,8 @@ class ImmersedSolver:
         run_timed(self.timings, "press", lambda: lattice.crew.press(bodies.pushes, bodies.turns))
 
     def _predict(self, duration: float) -> tuple[wp.array, wp.array]:
-        """Return mean velocities of the integration points, and their gradients, in a step of
-        `duration` [s] under the last pressure.
+        """Return the mean velocities of the integration points, and the gradients of these
+        velocities, in a step of `duration` [s] under the last pressure.
         """
         lattice, nodes = self.lattice, self.lattice.nodes_state
         sums = [item.snapshot() for item in self._accumulators]

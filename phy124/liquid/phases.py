@@ -46,8 +46,8 @@ LAYERS = 4
 LAYERS_SHIFT = 2
 """Layers of faces beyond the liquid to which displacements are extrapolated; even."""
 EXTENT = 7
-"""Number of values of an extent: lowest corner with negative sign, highest corner, largest squared
-speed.
+"""Number of values of an extent: the lowest corner with a negative sign, the highest corner, and
+the largest squared speed.
 """
 
 

@@ -1,8 +1,8 @@
 """Measures velocity changes by forces on particles, for the pressure at walls and the work.
 
-Between the centre of a cell and a wall, the pressure changes by the weight of the liquid; a force
-on particles acts like an additional weight. The work of an impulse is the impulse times the mean of
-the velocities before the force and at the end of the step.
+The pressure at a wall differs from the pressure at the centre of a cell by the weight of the liquid
+in between; a force on particles acts like an additional weight. The work of an impulse is the
+impulse times the mean of two velocities: before the force acts, and at the end of the step.
 """
 
 from collections.abc import Sequence

@@ -47,7 +47,7 @@ class Wall:
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """Walls of one shape, all moving or all fixed; or one freely moving solid."""
+    """Walls of one shape that all move or are all fixed; or one freely moving solid."""
 
     shape: str
     moves: bool
@@ -106,7 +106,9 @@ class Walls:
         t, device = types(model.real), model.device
         rows = [(wall.friction, float(wall.sticky)) for wall in walls] or [(0.0, 0.0)]
         self.frictions = model.array(rows, t.vec2)
-        """For each wall: coefficient of friction; and 1 if the liquid sticks, otherwise 0."""
+        """For each wall: the coefficient of friction, and 1 if the liquid sticks to it, otherwise
+        0.
+        """
         slots = [wall.slot for wall in walls] or [0]
         self.slots = wp.array(np.array(slots, np.int32), dtype=int, device=device)
         """Index of each wall's track."""
@@ -259,7 +261,7 @@ class Walls:
 
 
 def span(count: int, worker: int, workers: int) -> tuple[int, int]:
-    """Return a worker's first item and the number of its items."""
+    """Return the first item of a worker, and the number of the worker's items."""
     first, last = (count * index // workers for index in (worker, worker + 1))
     return first, last - first
 

@@ -39,7 +39,7 @@ class Cost(NamedTuple):
     cells: int
     substeps: float
     others: float
-    """Time to compute and show the Gaussians of a frame [s]; it does not depend on the grid."""
+    """Time to compute and show the Gaussians of a frame [s], which does not depend on the grid."""
 
     def on(self, cells: int) -> float:
         """Estimate the computing time of a frame on another grid [s]."""

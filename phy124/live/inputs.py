@@ -31,7 +31,9 @@ class GrabRecord:
     """Time of release [s]; None before the release."""
 
     def force(self, since: float) -> Grab:
-        """Return the user's grab as a force, without targets that ended before `since` [s]."""
+        """Return the user's grab as a force; targets that no longer matter at `since` [s] are
+        omitted.
+        """
         before = bisect_right(self.times, since - self.start) - 1
         first = max(min(before, len(self.times) - 2), 0)
         return Grab(

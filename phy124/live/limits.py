@@ -43,7 +43,7 @@ PUSHES = 32
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits of the inputs on an object of this mass and size."""
+    """Limits of the inputs that act on an object with this mass and size."""
 
     mass: float
     """Mass of the object [kg]."""

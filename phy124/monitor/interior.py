@@ -1,8 +1,8 @@
 """Interior: adds Gaussians inside elastic material, which become visible if the material tears.
 
-Generators place Gaussians only on the surface, so a torn object would show a hole. Inner particles
-that have lost a neighbour get round Gaussians in the colours of the surface. The Gaussians are
-added to the finished clip, because exposed particles are not known in advance.
+Generators place Gaussians only on the surface, so a tear in the object would look like a hole.
+Inner particles that have lost a neighbour get round Gaussians in the colours of the surface. The
+Gaussians are added to the finished clip, because exposed particles are not known in advance.
 """
 
 from __future__ import annotations

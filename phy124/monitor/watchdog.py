@@ -45,7 +45,7 @@ energy reached 13 %. In an unstable run, the spurious energy exceeds any limit w
 EXCHANGE_GAIN = 0.25
 """The user gets a note if the exchange between a liquid and bodies creates more energy than this
 fraction of the largest supplied energy. In 14 test scenes, the created energy is at most 15 %. In 3
-scenes with foam or very light bodies, it is 77 to 148 % (docs/design/liquids.md).
+scenes with foam or very light bodies, the created energy is 77 to 148 % (docs/design/liquids.md).
 """
 MOMENTUM_GAIN = {"float32": 1e-3, "float64": 1e-6}
 """Tolerated spurious momentum, relative to the transferred momentum."""

@@ -21,9 +21,9 @@ PER_CELL = 2
 MOST_CELLS = 256
 """Largest number of cells of the search grid along each axis."""
 FARTHEST = 4.0
-"""Largest distance at which several particles carry a Gaussian, in mean distances between
-particles. Farther away, a Gaussian follows the nearest particle, because the grid does not connect
-material so far apart.
+"""Several particles carry a Gaussian up to this distance, in mean distances between particles. A
+Gaussian that is farther away follows only the nearest particle, because the grid does not connect
+material that is so far apart.
 """
 
 

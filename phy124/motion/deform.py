@@ -5,9 +5,10 @@ covariance `Sigma_t = F Sigma_0 F^T = Q Lambda Q^T` into rotation and scales. Th
 computes the axes from `A = F R_0 S_0` (`Sigma = A A^T`), once per frame and in float64, which
 preserves thin axes and positive definiteness (`phy124.kernels.deform`).
 
-Orientations are continuous. The order of the axes (one of 24 proper signed permutations) is chosen
-closest to the previous frame, and the sign of q is chosen so that q . q_previous >= 0. Axes of
-equal length rotate with the material; the relative change of the covariance is at most 1e-5.
+Orientations are continuous. Among the 24 proper signed permutations of the axes, the permutation
+closest to the previous frame is chosen. The sign of each quaternion is chosen so that its product
+with the previous quaternion is not negative. Axes of equal length rotate with the material; the
+relative change of the covariance is at most 1e-5.
 """
 
 from dataclasses import replace

@@ -56,8 +56,8 @@ def copy_of(value: Any) -> Any:
 def put_back(now: Any, copy: Any) -> Any:
     """Restore a value from a copy that `copy_of` made, and return the value.
 
-    Objects, lists of objects, and arrays on the device are changed in place. Tuples of `copy` may
-    have become lists in a file.
+    Objects, lists of objects, and arrays on the device are changed in place. If `copy` was read
+    from a file, its tuples may have become lists.
     """
     if hasattr(now, "restore"):
         now.restore(copy)

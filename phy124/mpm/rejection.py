@@ -28,8 +28,9 @@ FIRST = 4
 PULL = 0.1
 """Displacement of a particle by forces above which a substep is run as a trial [cells]."""
 ROUNDED = 1 - 1e-6
-"""Fraction of the previous frame that the bounds of forces and walls also cover. With the whole
-frame, rounding errors could add forces that ended just before the frame.
+"""The bounds of forces and walls also cover this fraction of the previous frame. If the bounds
+covered the whole previous frame, rounding errors could add forces that ended just before that
+frame.
 """
 
 

@@ -65,7 +65,7 @@ class Cleaning:
 
     @property
     def sentences(self) -> list[str]:
-        """Sentences for the report, one for each rule that dropped or changed Gaussians."""
+        """Messages for the report, one for each rule that dropped or changed Gaussians."""
         texts = {
             "not_finite": "had NaN or infinite values and were dropped",
             "beyond": f"had a coordinate or scale above {LARGEST:g} m and were dropped",

@@ -135,7 +135,7 @@ def tint(
         chosen: Mask of the Gaussians to tint [N].
         colour: Red, green and blue, 0..1.
         shading: Fraction of the contrast in brightness that is kept.
-        fine: Whether only small dark features such as eyes keep their contrast.
+        fine: Whether contrast is kept only for small dark features, such as eyes.
     """
     brightness = gaussians.rgb[chosen] @ LUMINANCE
     if not len(brightness):

@@ -26,7 +26,7 @@ PER_CELL = 8
 SMALLEST = 1e-3
 """Smallest filled fraction of a cell with integration points."""
 FULLEST = 0.1
-"""In thin needles, the smallest fraction is this multiple of the filled fraction of the fullest
+"""In thin needles, `SMALLEST` is replaced by this multiple of the filled fraction of the fullest
 cell.
 """
 HAZE = 0.005

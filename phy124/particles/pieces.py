@@ -114,8 +114,8 @@ def find_copies(
     Args:
         pieces: The E pieces.
         cell: For each piece, the indices of the cell whose nodes the piece uses [E,3].
-        place: Indices of the cells in which the voxels lie [V,3]; for merged slivers, these differ
-            from `cell`.
+        place: Indices of the cells in which the voxels lie [V,3]; for merged slivers, these cells
+            differ from the cells of the pieces.
         volume: Volumes of the voxels [V]. The largest connected piece in the support of a node
             uses the node's first copy.
     """

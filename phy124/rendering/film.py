@@ -155,7 +155,7 @@ def _encode_sides(
 
 @dataclass(frozen=True)
 class Loop:
-    """The order of a video's frames, and how many pictures at its end fade into its start."""
+    """The order of a video's frames, and the number of last pictures that fade into the start."""
 
     order: Sequence[int]
     fading: int = 0

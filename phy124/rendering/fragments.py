@@ -17,14 +17,15 @@ LUMP = 0.12
 SIZES = 0.11, 0.06, 0.04
 """Mean sizes of fragments, one for each lump, relative to the longest side at rest."""
 WHOLE, BROKEN = 1.06, 1.3
-"""Up to the first stretch, a fragment deforms; above the second, it keeps its shape."""
+"""A fragment deforms up to the first stretch, and keeps its shape above the second stretch."""
 SMALLEST = 0.7
 """Smallest size of a fragment that was compressed before it broke, relative to its size at rest."""
 NEWTON = 6
 """Number of Newton steps for a rotation; enough if stretches along the axes differ tenfold."""
 FLAT = 1e-3
 """Weight of the lump's motion in the fit of a fragment, relative to the variance of the fragment's
-positions. The few Gaussians of a small fragment may lie in a plane.
+positions. The lump's motion is needed because the few Gaussians of a small fragment may lie in a
+plane.
 """
 
 

@@ -169,7 +169,7 @@ def departures(clip: Clip, view: View) -> list[Departure]:
 
 
 def describe_framing(clip: Clip, view: View) -> dict[str, Any]:
-    """Return which views the object leaves as `departures`, and `notes` for the user."""
+    """Return `departures`, the views that the object leaves, and `notes` for the user."""
     left = departures(clip, view)
     notes = [note for note in (_note_departures(clip, view, left), _note_cut(clip, view)) if note]
     return {"departures": [asdict(departure) for departure in left], "notes": notes}

@@ -32,7 +32,9 @@ SKY = np.array([0.56, 0.59, 0.65], np.float32)
 LAMP_LIGHT = np.array([0.50, 0.46, 0.37], np.float32)
 """Red, green and blue light from the sky, and from the lamp on surfaces that face the lamp."""
 CERTAIN = 0.03
-"""Gradient of phi per cell above which the normal is certain; below, light tends to `EVEN`."""
+"""The normal is certain if the gradient of phi per cell is above this value. Below this value, the
+light of the lamp tends to `EVEN`.
+"""
 EVEN = 0.8
 """Light of the lamp on grains with an uncertain normal, relative to grains that face the lamp."""
 HOLLOW, DEEP = 0.48, 0.72

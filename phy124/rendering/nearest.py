@@ -39,7 +39,7 @@ LEFT_OUT = 1.5e-4
 DEPTHS = 1.5
 """Smallest distance of the camera from a motion, in units of the motion's depth along the view."""
 CLOSE = 0.98
-"""A search for a zoom ends at this fraction of the smallest allowed camera distance."""
+"""The search for a zoom stops at this fraction of the smallest allowed camera distance."""
 TRIES = 8
 ZOOM = 40.0
 """Largest factor by which the field of view is narrowed."""

@@ -31,7 +31,9 @@ Colour = tuple[float, float, float]
 WHITE: Colour = (1.0, 1.0, 1.0)
 BLACK: Colour = (0.0, 0.0, 0.0)
 MAX_PAIRS = 1 << 24
-"""Largest total length of the tiles' lists; longer lists are blended in groups of tiles."""
+"""Largest total length of the tiles' lists; if the total is larger, groups of tiles are blended in
+turn.
+"""
 TILES_PER_SPLAT = 4
 """Expected number of tiles per splat, for which memory is allocated before the first picture."""
 BLENDS = {"simd": blend.blend_tiles_simd, "plain": blend.blend_tiles, "pixel": blend.blend_pixels}

@@ -25,7 +25,9 @@ class Mount(NamedTuple):
     """The group at the mount point; in a container, this is the container's group."""
     version: int
     controllers: frozenset[str]
-    """Controllers of a hierarchy of version 1; in version 2, one hierarchy has all controllers."""
+    """Controllers of a hierarchy of version 1; in version 2, a single hierarchy has all
+    controllers.
+    """
 
 
 def memory_left(root: Path = ROOT) -> float:

@@ -69,7 +69,9 @@ def lock_gpu(
 
 
 class Driver(NamedTuple):
-    """CUDA version that the driver supports, and version that Warp needs; None if unknown."""
+    """The CUDA version that the driver supports, and the CUDA version that Warp needs; None if
+    unknown.
+    """
 
     supported: Version | None
     needed: Version | None

@@ -12,7 +12,9 @@ Colour = tuple[float, float, float]
 Box = tuple[Array, Array]
 """Lowest and highest corner of an axis-aligned box [3], m."""
 TOGETHER = 64
-"""Number of points that form a row when minimum and maximum are computed; wide rows are faster."""
+"""Points are arranged in rows of this number of points to compute the minimum and the maximum; wide
+rows are faster.
+"""
 POOL = 0.5
 """Brightness added in the middle of a studio's floor if the grey of the floor is 1/2."""
 

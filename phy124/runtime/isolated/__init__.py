@@ -33,7 +33,9 @@ class Deadline(NamedTuple):
 
     seconds: float = 120.0
     beat: Callable[[], object] = lambda: None
-    """Function that is called ten times a second; an exception of the function ends the process."""
+    """Function that is called ten times a second; if the function raises an exception, the process
+    is killed.
+    """
 
 
 PATIENT = Deadline()
@@ -69,7 +71,7 @@ def run(
         arguments: The function's arguments.
 
     Raises:
-        Unfinished: The time is over, or the process crashed.
+        Unfinished: The time limit was exceeded, or the process crashed.
     """
     if getattr(sys, "frozen", False) or not sys.executable:
         # Without a separate Python interpreter, the program would start itself.

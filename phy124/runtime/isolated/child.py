@@ -55,7 +55,7 @@ def _pickle_error(error: Exception) -> bytes:
 
 
 def _end_with_parent() -> None:
-    """Exit when standard input ends, because the waiting process has then ended as well."""
+    """Exit when standard input ends, because the process that started this one has then ended."""
     # Reading through sys.stdin would keep the lock of sys.stdin for ever.
     while os.read(0, 1):
         pass
