@@ -20,8 +20,8 @@ the liquid.
 """
 
 DIFFUSED = 5.0
-"""Largest product of a step's length and the rate at which viscosity diffuses velocities to a
-neighbouring face. This limit keeps the number of viscous iterations below about 200.
+"""Largest product of the length of a step and the rate at which viscosity diffuses velocities. This
+limit keeps the number of viscous iterations below about 200.
 """
 
 RESOLVED = 4.0
@@ -37,7 +37,7 @@ LIGHT_RESOLVED = 8.0
 LIGHT_AVERAGED = 0.45
 """Smallest number of a light body's vibration periods in a step, unless a period contains
 `LIGHT_RESOLVED` steps. Between these two limits, the pressure would deform a light body more than
-the liquid can follow, which would create energy.
+the liquid can follow. This would create energy.
 """
 
 

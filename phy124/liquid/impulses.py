@@ -17,9 +17,9 @@ class WallImpulses:
     """Impulses of the walls in the current step, per worker, and totals over all steps."""
 
     def __init__(self, names: Sequence[str], count: int, workers: int, device: str) -> None:
-        """`count` is the number of walls, including freely moving solids, which come last."""
+        """`count` is the number of walls and freely moving solids; the solids come last."""
         self.names = tuple(names)
-        """Names of the boundaries' walls, which come first among all walls."""
+        """Names of the walls of boundaries; these walls come first among all walls."""
         walls, real = max(count, 1), wp.float64
         self.step = wp.zeros((workers, walls, COLUMNS), dtype=real, device=device)
         """Impulses and work of the walls in the current step [workers,walls,7]."""

@@ -98,7 +98,8 @@ class LiquidSolver(Kept):
             threads: Number of CPU threads; None: the fastest number.
             bodies: Bodies of other materials.
             advance_bodies: Function that moves the bodies up to a time [s].
-            whole: All particles of the run, relative to which walls are placed; None: `model`.
+            whole: All particles of the run; walls are placed relative to these particles. None:
+                `model`.
             acting: Forces, boundaries, sums and planes, as in `bind`.
 
         Raises:
@@ -368,7 +369,7 @@ class LiquidSolver(Kept):
         clock.count(limit.limiter, needed=dt / limit.dt)
 
     def _guess(self, kick: float) -> None:
-        """Scale the last pressure, which is the next initial guess, to a step of `kick` [s]."""
+        """Scale the last pressure to a step of `kick` [s], as the next initial guess."""
         scale = kick / self.kick if self.kick > 0 else 0.0
         self._phases.viscosity.carry.fill_(scale)
         self.kick = kick

@@ -1,4 +1,4 @@
-"""Launches that diffuse velocities between faces and drag them at walls."""
+"""Launches that diffuse velocities between faces, and reduce velocities by drag at walls."""
 
 import warp as wp
 

@@ -42,8 +42,9 @@ FOREVER = 1e8
 KEPT_EVERY = 12
 """Number of frames between two stored states."""
 LOST = 50.0
-"""Distance between the object and the middle of the scene, in object sizes, beyond which the run
-restarts."""
+"""The run restarts if the distance between the object and the middle of the scene exceeds this
+value [object sizes].
+"""
 NOTES = 20
 """Largest number of stored notes."""
 SLOWEST = 30
@@ -77,7 +78,8 @@ class Live:
                 this machine can run in real time).
             context: Device, number of threads, progress function and timer.
             shapes: Whether frames contain the shapes of the Gaussians. Frames without shapes take
-                less time; they suffice for programs that bind Gaussians to `particles` themselves.
+                less time. Such frames suffice for programs that bind Gaussians to `particles`
+                themselves.
             crop: Position of the object in the picture on which the masks of parts were painted.
 
         Raises:

@@ -1,8 +1,8 @@
 """Limits and defaults for inputs by a hand, with which a user pulls the object.
 
-By default a hand pulls with three times the object's weight, which lifts and throws the object. On
-soft material, a hand pulls with less force, because material that is pulled faster than sound would
-be squeezed flat.
+By default a hand pulls with three times the object's weight. This force can lift and throw the
+object. On soft material, a hand pulls with less force, because material that is pulled faster than
+sound would be squeezed flat.
 """
 
 from __future__ import annotations

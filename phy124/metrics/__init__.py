@@ -94,7 +94,7 @@ def evaluate(
         clip: The clip.
         videos: Frames of each view [T,H,W,3], by the name of the view.
         model: CLIP model for CLIP-T; if None, CLIP-T is not computed.
-        missing: Reason why there is no model; it is shown in the table.
+        missing: Reason why there is no model; the table shows this reason.
     """
     views = []
     for name, video in videos.items():

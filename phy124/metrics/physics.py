@@ -19,7 +19,8 @@ class Physics:
     volume_highest: float
     """Largest total volume of the Gaussians, relative to that of the first frame."""
     momentum_residual: float | None
-    """Mean difference between the velocity of the object's centre and the change of its position.
+    """Mean difference between the velocity of the object's centre and the change of the centre's
+    position.
 
     The residual is the mean over frames of |dx/dt - (v before + v after) / 2|, divided by the mean
     speed; x and v are means over all Gaussians. If all velocities are zero, the residual is not

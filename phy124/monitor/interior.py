@@ -1,4 +1,5 @@
-"""Interior: adds Gaussians inside elastic material, which become visible if the material tears.
+"""Interior: adds Gaussians inside elastic material; these Gaussians become visible if the material
+tears.
 
 Generators place Gaussians only on the surface, so a tear in the object would look like a hole.
 Inner particles that have lost a neighbour get round Gaussians in the colours of the surface. The

@@ -200,7 +200,7 @@ class LatticeContacts(Contacts):
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
-        """Return the row of the effects report; the cost is less than that of the contact."""
+        """Return the row of the effects report; the sums cost less time than the contact."""
         return super().effect(subject)._replace(cost=Cost())
 
     def wrap_walls(self, walls: Sequence[Boundary], inner: Sequence[Attachable]) -> Any:

@@ -44,7 +44,9 @@ class NodesNear:
     def __init__(self, walls: Sequence[Boundary], model: Model) -> None:
         self._corners, self._model = _reach(walls, model), model
         self.threads: tuple[int, ...] = ()
-        """Threads along each axis for a kernel over segments of rows of these nodes."""
+        """Numbers of threads along each axis for a kernel whose threads process segments of rows of
+        these nodes.
+        """
         self.read: list[Any] = []
         """First inputs of such a kernel: segment length, box of nodes, stored range, and nodes."""
         self.copy: wp.array | None = None

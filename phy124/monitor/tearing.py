@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from phy124.liquid import AnySolver
 
 APART = 1.2
-"""Distance of neighbouring particles above which material may separate [cells]."""
+"""Material may separate if neighbouring particles are farther apart than this [cells]."""
 MANY, FEW = 5e-3, 3
 """A tear is likely if the number of particles that are farther apart than `APART` exceeds both
 `FEW` and `MANY` times P^(2/3), where P is the number of particles. P^(2/3) is about the number of
@@ -49,7 +49,7 @@ ALONE = 1.0
 STURDY = 1e9
 """Stretch limit of particles that are not checked."""
 FAR = 4096
-"""Number of cubes along an axis above which empty space is removed before labelling."""
+"""If there are more cubes along an axis, empty space is removed before labelling."""
 MOST = 50_000_000
 """Largest number of cubes; with more cubes, pieces are not determined."""
 REMEDY = (

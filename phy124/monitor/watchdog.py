@@ -70,7 +70,8 @@ ROUNDING = {"float32": 1e-5, "float64": 1e-12}
 QUIET = 1e-9
 """Energies below this multiple of volume times stiffness count as rounding errors."""
 COLLAPSE = 0.8
-"""Ratio of impact speed to speed of sound above which J of some materials approaches 0."""
+"""J of some materials approaches 0 if an impact is faster than this multiple of the speed of sound.
+"""
 UNSEEN = 3e-4
 """Largest invisible strain: 0.1 pixels in an object of 300 pixels."""
 FADING = {"float32": 2e-9, "float64": 4e-18}

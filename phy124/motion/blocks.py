@@ -1,4 +1,4 @@
-"""Launches kernels over blocks of Gaussians, which are divided among CPU threads."""
+"""Launches kernels over blocks of Gaussians; the blocks are divided among CPU threads."""
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor

@@ -34,7 +34,7 @@ NEAR = 4
 TRIM = 32
 """Number of frames after which freed memory is returned to the system."""
 STATES = 16e6
-"""Largest total size of the stored states, from which later frames are computed [bytes]."""
+"""Largest total size of the stored states [bytes]. Later frames are computed from these states."""
 BYTES = 40
 """Size of one Gaussian in a computed frame [bytes]."""
 STATE = 32

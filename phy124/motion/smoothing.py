@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from phy124.gaussians import Particles
 
 REACH = 1.25
-"""Distance beyond which another particle is not a neighbour in the mean of the motion [cells]."""
+"""The motion of a particle is averaged over the particles up to this distance [cells]."""
 NEIGHBOURS = 64
 """Largest number of neighbours over which the motion of a particle is averaged."""
 LARGEST = 0.25

@@ -105,7 +105,8 @@ class Clock(Kept):
         return -self.last_dt / 2 * power
 
     def uniform_work(self, momentum: NDArray) -> float:
-        """Return the uniform acceleration's work since the kick [J], which is a part of `lag`.
+        """Return the work of the uniform acceleration since the kick [J]; this work is a part of
+        `lag`.
 
         `momentum` [3] is the momentum of all particles after the last kick, kg m/s.
         """

@@ -34,7 +34,7 @@ friction.
 MARGIN = 1.5
 """Nodes of the grid up to this distance from a solid can be in contact with the solid [cells]."""
 POINTS = {"sphere": 1, "capsule": 2, "box": 8}
-"""For each shape of a solid, the number of its points at which a flat wall may act."""
+"""For each shape of a solid, the number of points at which a flat wall may act on the solid."""
 Vector3 = NDArray[np.float64]
 
 
@@ -199,8 +199,8 @@ class FreeBodies(Kept):
         return wp.zeros(size, dtype=wp.float64, device=self._model.device)
 
     def _reach(self, solid: FreeBody) -> int:
-        """Return the distance from the solid's centre up to which the solid can touch nodes
-        [nodes].
+        """Return the largest distance between the solid's centre and a node that the solid can
+        touch [nodes].
         """
         far = float(np.linalg.norm(solid.half)) if solid.shape == "box" else max(solid.half)
         return math.ceil(far / self._model.dx + MARGIN)

@@ -23,7 +23,7 @@ travel between two measurements.
 """
 CROSSED = "particles crossed more cells than allowed between two measurements"
 FARTHEST = 2**30
-"""Distance from the origin [cells] up to which the device can compute indices of nodes."""
+"""The device can compute indices of nodes up to this distance from the origin [cells]."""
 
 
 class Unstable(RuntimeError):

@@ -1,6 +1,6 @@
 """Kept: base class of objects whose state consists of attributes that their class lists.
 
-A snapshot consists of arrays and plain data, which can also be stored in a file
+A snapshot consists of arrays and plain data, so a snapshot can be stored in a file
 (phy124/pipeline/resume.py). A snapshot shares no memory with the object, and can be restored
 repeatedly.
 """

@@ -93,7 +93,7 @@ class Model:
     relative to all bodies of the scene.
     """
     least_stiffness: float = 1.0
-    """Smallest factor by which a particle's Young's modulus E is multiplied."""
+    """Smallest factor on the Young's modulus E of any particle."""
     respond: Callable[[NDArray[np.float64]], NDArray[np.float64]] | None = None
     """Function that returns the accelerations [P] caused by forces on the integration points of a
     lattice; None if the particles do not depend on each other.

@@ -87,7 +87,8 @@ class Outliers(Kept):
         return True
 
     def around(self, part: Part, gather: Recorded, grid: Grid, tracks: Tracks) -> list[Recorded]:
-        """Return the kernel launches for the gather of `part`, including those that move outliers.
+        """Return the kernel launches for the gather of `part`, including the launches that move
+        outliers.
 
         Args:
             part: Some of the particles.

@@ -50,7 +50,8 @@ class Pairs(Kept):
         """Allocate the sums; `listed` are the pairs whose contact differs from the default.
 
         Raises:
-            ValueError: A pair does not consist of two bodies of the model, or it is listed twice.
+            ValueError: A pair does not consist of two bodies of the model, or a pair is listed
+                twice.
         """
         numbers = list(itertools.combinations(range(model.bodies), 2))
         chosen = {tuple(sorted(pair[:2])): pair for pair in listed}
@@ -65,7 +66,9 @@ class Pairs(Kept):
         shape = (workers, len(self.all), ROOM)
         self._sums = wp.zeros(shape, dtype=wp.float64, device=model.device)
         self._added = np.zeros((len(self.all), SUMS))
-        """Sums per pair of the impulses of liquids, which another solver computes [pairs,6]."""
+        """For each pair, the sum of the impulses of liquids [pairs,6]; another solver computes
+        these impulses.
+        """
         self._begun = self._total()
         self._fill = fill_of(model)
 

@@ -26,7 +26,7 @@ TRIES = 100
 FIRST = 4
 """Number of trial substeps at the start of a run if a force may change velocities suddenly."""
 PULL = 0.1
-"""Displacement of a particle by forces above which a substep is run as a trial [cells]."""
+"""A substep is run as a trial if forces may displace a particle by more than this [cells]."""
 ROUNDED = 1 - 1e-6
 """The bounds of forces and walls also cover this fraction of the previous frame. If the bounds
 covered the whole previous frame, rounding errors could add forces that ended just before that

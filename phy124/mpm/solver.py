@@ -47,8 +47,8 @@ from phy124.mpm.workers import (
 )
 
 CALM = 0.9
-"""Largest growth of stiffness between two measurements, relative to the growth up to which substeps
-are stable.
+"""Largest growth of stiffness between two measurements, relative to the largest growth with which
+substeps are still stable.
 """
 
 
@@ -60,7 +60,7 @@ class Solver(Kept):
     projects: ClassVar[bool] = False
     clock_type: ClassVar[type[Clock]] = Clock
     guest: Any = None
-    """Launch of another solver, which runs between the update of the grids and the walls."""
+    """A launch of another solver, made between the update of the grids and the walls."""
 
     def __init__(
         self,

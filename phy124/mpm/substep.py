@@ -102,7 +102,7 @@ class Recorder:
     rpic: float = 0.0
     """Rate at which the symmetric part of the velocity gradients C decays [1/s]."""
     guest: Any = None
-    """Launch of another solver, which runs between the update of the grids and the walls."""
+    """A launch of another solver, made between the update of the grids and the walls."""
 
     def record(
         self, pushes: Sequence[Stage], walls: Sequence[Stage], sums: Sequence[Stage]

@@ -99,7 +99,8 @@ def make_grains(
 def vary_brightness(gaussians: Gaussians, amounts: NDArray, seed: int) -> Gaussians:
     """Change the brightness of each Gaussian at random, with standard deviations `amounts` [N].
 
-    A Gaussian larger than `FINE` shows the mean brightness of several grains, which varies less.
+    A Gaussian larger than `FINE` shows the mean brightness of several grains, and the mean varies
+    less.
     """
     noise = np.random.default_rng(seed).standard_normal(len(gaussians))
     size = gaussians.scales.max(axis=1) / np.ptp(gaussians.means, axis=0).max()

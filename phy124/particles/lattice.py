@@ -30,7 +30,7 @@ FULLEST = 0.1
 cell.
 """
 HAZE = 0.005
-"""Filled fraction below which a cell contains only stray Gaussians."""
+"""A cell with a smaller filled fraction contains only stray Gaussians."""
 TRACE = 0.1
 """A voxel has no surface points if its filled fraction is below this value and a neighbouring voxel
 is twice as full.
@@ -241,7 +241,7 @@ def _surface_points(solid: Solid, dx: float, cells: _Cells) -> NDArray[np.float6
 def _merge_slivers(place: NDArray[np.int64], part: NDArray) -> NDArray[np.int64]:
     """Return the index of each voxel's cell [V]; slivers are merged with a neighbouring cell.
 
-    The nodes of a sliver are light, which would shorten the substep.
+    The nodes of a sliver are light, and light nodes would shorten the substep.
     """
     low, size = place.min(axis=0) - 1, tuple((np.ptp(place, axis=0) + 3).tolist())
     flat = np.asarray(np.ravel_multi_index(tuple((place - low).T), size))

@@ -60,8 +60,8 @@ def find_pieces(
         cell: Index of each voxel's cell after slivers have been merged [V].
         part: Volume of each voxel, relative to a cell [V].
         clear: Whether each voxel connects its neighbours [V]; traces of material do not.
-        sliver: Fraction of a cell below which one of several pieces joins a connected piece in a
-            neighbouring cell.
+        sliver: In a cell with several pieces, a piece that fills less than this fraction of the
+            cell joins a connected piece in a neighbouring cell.
     """
     clump, touching, contact = _find_clumps(index, place, clear)
     of = np.zeros(clump.max() + 1, np.int64)

@@ -49,7 +49,7 @@ class _Moments(NamedTuple):
 def average(
     values: NDArray, first: NDArray[Any], voxel: float, step: float
 ) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Return the mean values in the voxels of another grid, which may have another voxel size.
+    """Return the mean values in the voxels of another grid. The size of these voxels may differ.
 
     Args:
         values: Values of voxels [X,Y,Z]; zero elsewhere.

@@ -46,7 +46,7 @@ NEIGHBOURS = 32
 THINNEST = 0.1
 """Smallest thickness of a sheet without an opposite face [voxels]."""
 BEYOND = 0.2
-"""Distance by which flat Gaussians may stick out beyond a convex edge [voxels]."""
+"""Flat Gaussians may stick out beyond a convex edge by this distance [voxels]."""
 PREFERRED = 0.6
 """The face of a neighbouring voxel is preferred if the part below that face is thinner than this
 multiple of the part below the voxel's own face.

@@ -1,4 +1,4 @@
-"""Computes proportions of an object, which determine how well a grid resolves the object.
+"""Computes the proportions of an object that determine how well a grid resolves the object.
 
 The local thickness at a point is the diameter of the largest ball that contains the point and lies
 inside the object (Hildebrand and Ruegsegger 1997, Journal of Microscopy 185).

@@ -14,7 +14,7 @@ from phy124.io.content import MOST_KEPT
 
 FEWEST, MOST = 100, MOST_KEPT
 GIANT = 1e4
-"""Area, relative to the median, above which a Gaussian counts as background or as an error."""
+"""A Gaussian with a larger area, relative to the median, counts as background or as an error."""
 BITS = 16
 
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from phy124.particles.resampling import Material
 
 SHEET = 0.25
-"""Length of the gradient below which a voxel has no single outward side [1/voxel]."""
+"""A voxel with a shorter gradient has no single outward side [1/voxel]."""
 NEAR = np.array(list(np.ndindex(3, 3, 3))) - 1
 SLOPES = 3 / 13 * NEAR / np.maximum((NEAR**2).sum(axis=1, keepdims=True), 1)
 """Weights of the 27 filled fractions in their gradient. The weight of a neighbour is proportional
@@ -33,8 +33,8 @@ class Voxels(NamedTuple):
 
 
 def find_voxels(filled: NDArray, material: Material | None = None) -> Voxels:
-    """Return the filled parts of the voxels of a grid [X,Y,Z]; without `material`, they are filled
-    evenly.
+    """Return the filled parts of the voxels of a grid [X,Y,Z]; without `material`, all voxels are
+    filled evenly.
     """
     filled = filled.astype(np.float64)
     index = np.argwhere(filled > 0)

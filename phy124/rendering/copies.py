@@ -20,7 +20,9 @@ class HostCopies:
         self._done = wp.Event(device) if device.is_cuda else None
 
     def start(self, **arrays: wp.array) -> None:
-        """Copy one-dimensional arrays as soon as earlier kernel launches have computed them."""
+        """Copy one-dimensional arrays as soon as earlier kernel launches have computed these
+        arrays.
+        """
         self._started = {name: self._copy(name, array) for name, array in arrays.items()}
         if self._done is not None:
             self._device.stream.record_event(self._done)

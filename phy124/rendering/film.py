@@ -323,7 +323,7 @@ ENCODERS: dict[str, Encoder] = {
 }
 """Functions that write the pictures from one side, and return the path of the file or folder."""
 PLAYED = {"mp4", "webm", "mov", "webp", "gif"}
-"""Formats of videos and animations, which have a frame rate."""
+"""Formats that have a frame rate: videos and animations."""
 SMOOTH = 12.0
 """Frame rate below which slow motion looks choppy [1/s]."""
 EXPORTS: dict[str, Callable[[Clip, View, Path, Progress], Path]] = {

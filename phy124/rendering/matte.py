@@ -36,7 +36,9 @@ CERTAIN = 0.03
 light of the lamp tends to `EVEN`.
 """
 EVEN = 0.8
-"""Light of the lamp on grains with an uncertain normal, relative to grains that face the lamp."""
+"""Light of the lamp on grains with an uncertain normal, relative to its light on grains that face
+the lamp.
+"""
 HOLLOW, DEEP = 0.48, 0.72
 """Phi after the wide filter: on a flat surface, and in a fully shaded hollow."""
 DARKEST = 0.6

@@ -185,7 +185,7 @@ class Seen:
         return {name: rasters[name] for name in self.outputs if name in rasters}, alpha > 0
 
     def steps(self) -> dict[Output, float]:
-        """Return the step between 16-bit values of each output, which is the same in all frames."""
+        """Return the step between 16-bit values of each output; all frames have the same step."""
         largest = dict.fromkeys(self.outputs, 0.0) | {"alpha": 1.0, "normals": 1.0}
         if set(self.outputs) & {"depth", "flow", "velocity"}:
             for index, camera in enumerate(self.cameras):
