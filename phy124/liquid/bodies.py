@@ -77,7 +77,7 @@ class Bodies(Kept):
             free: Freely moving rigid solids; they are numbered before the bodies.
             work: Object that sums the work of the pressure on the bodies.
             expect: Function that predicts the mean motion of the particles in a step; None: the
-                present motion.
+                present motion is used.
         """
         self._model, self._state, self._grids = model, state, grids
         self._expect, self._motion, self.work = expect, (state.v, state.C), work

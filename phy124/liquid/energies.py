@@ -38,7 +38,7 @@ class Works(NamedTuple):
 
 
 class Energies(Kept):
-    """Records the launches that sum mechanical work, once `start` is called."""
+    """Records the launches that sum mechanical work, after `start` has been called."""
 
     kept = ("_sums",)
 
@@ -57,7 +57,7 @@ class Energies(Kept):
         """Store the objects whose work is summed, and allocate the arrays of a window.
 
         Args:
-            walls: The walls, including freely moving solids and bodies, which come last.
+            walls: The walls, then the freely moving solids and the bodies.
             count: Number of walls without solids and bodies.
             tracks: Quantities that change over time.
             impulses: Sums of the walls' impulses.

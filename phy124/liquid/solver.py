@@ -150,8 +150,8 @@ class LiquidSolver(Kept):
         because an impact compresses the liquid for a moment.
         """
         self.lasting, self._lasts = 0.0, 0.0
-        """The same, but both rise by at most `CROWDING` per second, because an impact may compress
-        the liquid for a quarter of a second.
+        """Like `crowding` and `_excess`, but these values rise by at most `CROWDING` per second,
+        because an impact may compress the liquid for a quarter of a second.
         """
         self.impulses = WallImpulses((), 0, count, model.device)
         self.bind(**acting)

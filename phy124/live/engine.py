@@ -316,7 +316,7 @@ class Live:
         self._changed = True
 
     def soften(self, factor: float) -> None:
-        """Set the factor (0.01 to 100) on the scene's Young's modulus; replaces earlier factors.
+        """Set the factor (0.01 to 100) on the scene's Young's modulus, instead of earlier factors.
 
         Raises:
             InputError: The factor is out of bounds, the scene has a stiffness profile, or the

@@ -240,7 +240,9 @@ def _positions(run: Simulation) -> NDArray[np.float64]:
 
 
 def _list_movable(scene: Scene) -> list[int]:
-    """Return the indices of the objects that are not fixed; of all objects if all are fixed."""
+    """Return the indices of the objects that are not fixed. If all objects are fixed, return the
+    indices of all objects.
+    """
     numbers = [i for i, item in enumerate(scene.every_object) if not (item.held or item.scenery)]
     return numbers or list(range(len(scene.names)))
 

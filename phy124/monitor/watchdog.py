@@ -59,9 +59,9 @@ LEVEL = 0.05
 at least the energy that lifts the liquid by this height.
 """
 COVERED = 0.2
-"""Rise of the level of a projected liquid [cells] that is noted, but does not stop the run. If a
-lid or a body covers the surface, the liquid fills its uppermost cells: in 16 scenes with lids, the
-spurious energy was that of a rise by at most 0.15 cells.
+"""If the level of a projected liquid rises by at most this height [cells], the user gets a note,
+but the run does not stop. If a lid or a body covers the surface, the liquid fills its uppermost
+cells: in 16 scenes with lids, the spurious energy was at most the energy of a rise by 0.15 cells.
 """
 CROWDED = 0.1
 """Largest mean excess of density of a projected liquid that has enough space."""
@@ -106,7 +106,7 @@ class Balance:
     trembles: float = 0.0
     """Spurious energy explained by rounding errors, relative to `turnover`."""
     lifts: float = 0.0
-    """Spurious energy explained by a rise of a projected liquid: the rise [cells]."""
+    """Height of the rise of a projected liquid that explains the spurious energy [cells]."""
 
 
 def energy_supplied(start: float, work: float, walls: float) -> float:

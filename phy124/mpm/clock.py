@@ -56,7 +56,9 @@ class Clock(Kept):
         turning point of a vibration.
         """
         self.interval = self.since_measured = min(measure_every, MEASURE_EVERY)
-        """Number of substeps between two measurements of speeds, and since the last measurement."""
+        """Number of substeps between two measurements of speeds, and number of substeps since the
+        last measurement.
+        """
         self.strain = self.travel = math.inf
         """Upper bounds of the strain and the displacement [m] of any particle since the last
         complete measurement; infinite if the next measurement must be complete.

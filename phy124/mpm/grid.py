@@ -190,7 +190,7 @@ def corners_of(rows: NDArray[np.float64], bodies: Sequence[int], count: int) -> 
     """Return the lowest and highest corner of each body's bounding box.
 
     The corners of a body without a row in `rows` are infinite. The rows [R,M] are measured maxima
-    of parts of the particles (see `Maxima.of`); `bodies` are the bodies of the rows.
+    of parts of the particles (see `Maxima.of`); `bodies` has the body of each row.
     """
     if count == 1:
         return [Maxima.of(rows.max(axis=0)).corners]

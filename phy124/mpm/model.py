@@ -268,7 +268,7 @@ class Model:
 
 @dataclass
 class State(Kept):
-    """The arrays of the particles that change every substep, on the device."""
+    """The particles' arrays on the device that every substep changes."""
 
     kept = ("x", "residue", "v", "C", "F", "history", "total")
 

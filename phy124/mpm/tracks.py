@@ -153,7 +153,7 @@ class Track:
     end: float = FOREVER
     """Time until which the track is active [s]."""
     origin: float = 0.0
-    """Time at which the keys' times are 0 [s]."""
+    """Time from which the times of the keys are counted [s]."""
     period: float = 0.0
     """Time after which the keys of the track repeat [s]; 0 if they never repeat."""
     mean: bool = False

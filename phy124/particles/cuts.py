@@ -70,8 +70,8 @@ def moments_below(
 def _depths(
     normal: NDArray, height: NDArray, side: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the sizes of the components of the normals [3,K], and the depths of the corners of the
-    cubes below the planes [8,K].
+    """Return the absolute values of the normals' components [3,K], and the depths of the cubes'
+    corners below the planes [8,K].
 
     A plane beyond a cube is moved to the nearest corner, because the sums over corners lose all
     digits far from the cube.

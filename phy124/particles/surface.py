@@ -389,6 +389,6 @@ def _normalise(vectors: Array) -> Array:
 
 
 def _weighted_mean(values: Array, weights: NDArray) -> Array:
-    """Return the weighted mean of each row [V]; zero without weights."""
+    """Return the weighted mean of each row [V]; zero if all weights of the row are zero."""
     mean: Array = (values * weights).sum(axis=1) / np.maximum(weights.sum(axis=1), 1)
     return mean

@@ -75,7 +75,9 @@ class Field:
     """A grid on which values of a liquid's points are added up and smoothed."""
 
     def __init__(self, x: NDArray, cell: float, planes: Planes = NOWHERE) -> None:
-        """Place points [N,3] m on a grid with the spacing `cell` [m], or wider for many cells."""
+        """Place points [N,3] m on a grid with the spacing `cell` [m]; the spacing becomes wider if
+        there would be more than `MOST` cells.
+        """
         low, high = np.percentile(x[:: 1 + len(x) // SAMPLE], [0.1, 99.9], axis=0)
         spare = 4 * BLUR * cell
         extent = high - low + 2 * spare

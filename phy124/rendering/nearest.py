@@ -199,8 +199,8 @@ def place_along(
 ) -> tuple[Values, Values]:
     """Place cameras that move in and out smoothly and show the object in every frame.
 
-    The positions from which a camera sees a point form a convex set, so the mean of several
-    positions that show all points shows all points, too.
+    The positions from which a camera sees a point form a convex set, so if several positions show
+    all points, the mean of these positions also shows all points.
 
     Args:
         sample: The object in motion.

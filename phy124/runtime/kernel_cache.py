@@ -242,7 +242,8 @@ def _sweep() -> None:
     """Remove incomplete modules, unless a compilation is in progress.
 
     A program that launches kernels without `start` compiles without the lock. The folders of
-    running processes are therefore kept, because the compiler crashes if its folder is missing.
+    running processes are therefore kept. Without its folder, the compiler of such a process would
+    crash.
     """
     with _lock(wait=False) as alone:
         if alone:

@@ -26,7 +26,7 @@ RECENT = 64
 SAMPLE = 1024
 """Number of Gaussians whose paths determine the size of the shadow map."""
 OUTLIERS = (0.5, 99.5)
-"""Percentiles of the Gaussians' positions in each frame, between which the shadow map extends."""
+"""The shadow map extends between these percentiles of the Gaussians' positions in each frame."""
 ROOM = 0.9
 """Margin of the shadow map, as a fraction of the object's largest height above the floor."""
 LARGEST = 4.0
