@@ -13,7 +13,7 @@ from phy124.forces import Acceleration, Grab, Gravity, TotalForce, Wind
 from phy124.forces.held import Part
 from phy124.materials import Hencky, NeoHookean
 from phy124.monitor.lattice import LatticeTotals
-from phy124.mpm import FreeBody
+from phy124.mpm import FreeBody, Unstable
 from phy124.mpm.tracks import Keyframes
 from phy124.particles.solid import Solid
 from phy124.runtime.context import RunContext
@@ -279,6 +279,12 @@ def test_free_solid_set_in_fast_motion_does_not_pass_through():
     list(live.frames(1))
     assert live.motions["ball"].place[2] > live.points["object"][:, 2].max() - DX / 4
     assert abs(live.motions["ball"].velocity[2]) < 3
+
+
+def test_body_too_fast_for_any_substep_is_not_called_squeezed():
+    solver = make(block((0.3, 0.3, 0.3)), v=(0, 0, 1e9))
+    with pytest.raises(Unstable, match=r"^the motion is too fast: at 1e\+09 m/s, a substep would"):
+        solver.advance(0.04)
 
 
 def test_prongs_of_a_fork_do_not_pass_through_each_other():

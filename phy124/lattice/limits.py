@@ -136,7 +136,7 @@ class Limits(Kept):
             clock.expire()
 
     def _refuse_collapse(self) -> None:
-        """Raise Unstable if a body collapsed.
+        """Raise Unstable if a body collapsed, or if a body or solid is too fast for any substep.
 
         The next attempt then takes substeps of half the length at rest, because a run with the
         current short substeps would never end.
@@ -147,7 +147,12 @@ class Limits(Kept):
         inverted = lost or clock.stable().dt < COLLAPSED * usual
         if not inverted and not clock.stalls(usual):
             return
-        clock.last_dt = self.substep_at_rest
+        limit, clock.last_dt = clock.stable(), self.substep_at_rest
+        if limit.limiter == "speed" and not lost:
+            speed = max(clock.extremes.speed, clock.solid)
+            raise Unstable(
+                f"the motion is too fast: at {speed:.2g} m/s, a substep would last {limit.dt:.1e} s"
+            )
         what = f"{STALLED} substeps together lasted less than one substep of the undeformed body"
         if inverted:
             what = "it turned inside out" + (f" ({lost} points)" if lost else "")
