@@ -33,7 +33,9 @@ REQUIREMENTS: dict[str, Callable[[], None]] = {
 }
 """Functions that raise InputError if the package for an outlet is missing."""
 AUTOMATIC = ("rclpy", "dds")
-"""Backends in the order in which `auto` tries them; with two, frames would arrive twice."""
+"""Backends in the order in which `auto` tries them. `auto` uses only one backend, because frames
+from two backends would arrive twice.
+"""
 
 
 def sink_names() -> list[str]:

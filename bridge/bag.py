@@ -63,7 +63,8 @@ class Counts:
 def mcap_file(bag: Path) -> Path:
     """Return the .mcap file into which a new bag is written.
 
-    If `bag` ends in .mcap, it is this file; otherwise it is a folder that will contain the file.
+    If `bag` ends in .mcap, this file is `bag`. Otherwise, `bag` is a folder that will contain the
+    file.
     """
     return bag if bag.suffix == SUFFIX else bag / f"{bag.name}_0{SUFFIX}"
 

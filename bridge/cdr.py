@@ -173,7 +173,9 @@ def _zero(member: Field) -> Any:
 
 
 def _flat(name: str) -> list[str]:
-    """Return a message's primitives in wire order; none if it has a string, array or sequence."""
+    """Return a message's primitives in wire order. If the message contains a string, an array or a
+    sequence, return an empty list.
+    """
     primitives: list[str] = []
     for member in fields(name):
         inner = [member.base] if member.base in PRIMITIVES else []

@@ -149,7 +149,9 @@ class Pacer:
 
     rate: float | None = None
     loop, dropped = False, 0
-    """Constant members of `Playback`, because a running simulation shows each frame once."""
+    """Members of `Playback` that are constant here, because a running simulation shows each frame
+    once.
+    """
 
     def __init__(self, speed: float, clock: Clock) -> None:
         self.speed = checked_speed(speed)

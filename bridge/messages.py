@@ -179,8 +179,8 @@ TYPE_IDS = {base: number for number, base in enumerate((*INTEGERS, "float32", "f
 TYPE_IDS |= {"bool": 15, "byte": 16, "string": 17}
 """Numbers of the primitives in descriptions of types (REP-2011)."""
 NESTED, BOUNDED_STRING, ARRAY, SEQUENCE = 1, 21, 48, 144
-"""Numbers of other types (REP-2011). The number of an array or a sequence is the sum of ARRAY or
-SEQUENCE and the number of the type of its values.
+"""Numbers of other types (REP-2011). For an array, ARRAY is added to the number of the values'
+type; for a sequence, SEQUENCE is added.
 """
 
 

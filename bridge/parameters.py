@@ -73,7 +73,9 @@ MAKING: dict[str, Any] = {
     "depth": DepthMap,
     "views": OtherViews,
 }
-"""Sections of options for making Gaussians, by name in `LiveOptions`; fields are parameters."""
+"""Sections of options for making Gaussians, by their names in `LiveOptions`. Each field of these
+sections is a parameter.
+"""
 
 
 def _start(field: FieldInfo) -> Any:
@@ -280,7 +282,9 @@ KINDS: dict[type, tuple[str, Callable[[Any], Any]]] = {
     tuple: ("a list of numbers", _numbers),
     list: ("a list of texts", _texts),
 }
-"""Name in messages, and conversion function, for each type; None means another type."""
+"""For each type, its name in messages and a conversion function. The function returns None for
+values of another type.
+"""
 
 
 def _example(default: Any) -> str:

@@ -32,7 +32,7 @@ class Tick:
     time: float
     """Time of the frame in the clip [s]."""
     stamp: float
-    """Seconds of the clip that were played so far, which increase even at loops and seeks."""
+    """Seconds of the clip played so far; this number never decreases, even at loops and seeks."""
 
 
 class Player:
@@ -84,7 +84,9 @@ class Player:
 
     @property
     def interval(self) -> float:
-        """Mean time between frames [s]; in a loop, also the time from last to first frame."""
+        """Mean time between frames [s]. In a loop, this is also the time from the last to the first
+        frame.
+        """
         if len(self.times) == 1:
             return 1.0
         return float(self.times[-1] - self.times[0]) / (len(self.times) - 1)

@@ -44,9 +44,9 @@ def recover(path: str | os.PathLike[str], output: str | os.PathLike[str] | None 
         output: Path of the repaired copy. If None, the repaired file replaces the recording.
 
     Raises:
-        InputError: There is no recording, or the bridge did not make it, or not even its beginning
-            can be read, or the package `mcap` is missing, or the disk is full. The damaged file
-            stays unchanged.
+        InputError: There is no recording, the bridge did not make the recording, even the beginning
+            of the recording cannot be read, the package `mcap` is missing, or the disk is full. The
+            damaged file stays unchanged.
     """
     target = Path(output) if output else Path(path)
     source, *others = bag.recorded_files(Path(path))

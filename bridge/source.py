@@ -61,7 +61,9 @@ class LiveOptions:
             raise InputError("live", self.live, limit, "Add --live, or remove these options.")
 
     def resolve(self) -> Scene:
-        """Return the scene with the changes of `--set`. By default, its frames have velocities."""
+        """Return the scene with the changes of `--set`. Unless `--set` says otherwise, frames have
+        velocities.
+        """
         from phy124.scene import Scene, parse_changes
 
         return Scene.named(self.scene).replaced({"velocities": True, **parse_changes(self.set)})

@@ -72,7 +72,7 @@ CAMERA = {
     "jpeg": ("image_raw/compressed", "sensor_msgs/msg/CompressedImage"),
     "h264": ("video", "foxglove_msgs/msg/CompressedVideo"),
 }
-"""Kinds of camera data: end of the topic's name, and message type."""
+"""For each kind of camera data, the end of the topic's name and the message type."""
 DRACO = Topic("/phy124/points/draco", "point_cloud_interfaces/msg/CompressedPointCloud2", depth=5)
 MAIN = (POINTS.name, SPLATS.name)
 """Names of the topic for points and the topic for splats, one of which publishes every frame."""

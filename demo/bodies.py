@@ -15,7 +15,8 @@ DRAIN = 1 << 28
 VALUES, DEEPEST = 50_000, 40
 """Largest number of values in the JSON of a request, and its largest nesting depth."""
 HELD, SMALL = 128_000_000, 64_000
-"""Largest memory of incomplete request bodies, and largest body that does not count [bytes]."""
+"""Largest memory of all incomplete request bodies, and largest size of a body not counted [bytes].
+"""
 ODD = "This request cannot be read: its JSON has too many values, or they are nested too deeply."
 
 

@@ -21,7 +21,8 @@ except ImportError:  # Windows
 HEAD, BODY, STALLED = 20.0, 120.0, 60.0
 """Time limits for receiving the head and the body of a request, and for sending an answer [s]."""
 FILES, UNLIMITED = 16_384, 512
-"""Limit on open files that is requested, and the assumed limit of a system that has none."""
+"""Limit on open files that the page requests, and assumed limit if the system does not state any.
+"""
 AT_ONCE = 2048
 """Largest number of connections that are accepted at once (uvicorn's default)."""
 

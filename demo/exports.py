@@ -38,7 +38,7 @@ def export(kinds: Sequence[str], done: Done, visitor: Visitor, visitors: Visitor
     Args:
         kinds: Names of formats in `EXPORTS`.
         done: The finished run.
-        visitor: The visitor who made the run, whose older files may be removed.
+        visitor: The visitor who made the run. Older files of this visitor may be removed.
         visitors: All visitors.
 
     Raises:

@@ -28,7 +28,7 @@ from .studies import Measurement, on_grid
 Measured = tuple[dict[str, Any], Scene]
 """Report and scene of a finished run."""
 SET_UP = 0.4
-"""Time to prepare a grid of an error study and to compare its result, divided by `Rates.rest`."""
+"""Time to prepare one grid of an error study and to compare the result, divided by `Rates.rest`."""
 
 
 @dataclass(frozen=True)

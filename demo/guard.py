@@ -32,7 +32,7 @@ POLICY = (
     "base-uri 'self'; form-action 'self'; frame-ancestors {frames}"
 )
 INERT = "default-src 'none'; style-src 'unsafe-inline'; sandbox"
-"""Content security policy of all responses but the page: a browser runs none of their scripts."""
+"""Content security policy of all responses except the page. Browsers run no scripts in them."""
 COOKIE = "phy124"
 NAME = re.compile(r"[A-Za-z0-9_-]{32}")
 NETWORK = 64
@@ -47,7 +47,8 @@ class Doorkeeper:
     ) -> None:
         """Wrap the application that answers the permitted requests.
 
-        A proxy may replace the public host names of the page, `origins`, in the Host header.
+        `origins` are the public host names of the page; a proxy may replace them in the Host
+        header.
         """
         self.app, self.hosts, self.origins = app, hosts, origins
 

@@ -135,7 +135,9 @@ def _thin(clip: Clip, step: int) -> Clip:
 
 
 def _save(images: list[Image.Image], scene: Scene, step: int, path: Path, quality: int) -> None:
-    """The animation plays at 0.6 times the scene's speed; its quality depends on its size."""
+    """Save an animation that plays at 0.6 times the scene's speed. The quality is reduced until the
+    file is at most `LARGEST` bytes.
+    """
     duration = round(1000 * step / (0.6 * scene.time.fps))
     for lower in range(quality, 0, -10):
         images[0].save(

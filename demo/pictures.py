@@ -102,7 +102,9 @@ def cut_out(
 
 
 def cutout_file(visitor: Visitor, picture: Path, *more: Any) -> Path:
-    """Return the path of a visitor's cut-out, which depends on the picture and on `more`."""
+    """Return the path of a visitor's cut-out. The file name depends on the picture and on `more`,
+    the other inputs of the cut-out.
+    """
     return visitor.folder / "cutouts" / f"{key(picture.read_bytes(), *more)}.png"
 
 

@@ -130,7 +130,7 @@ class Step:
 
 @dataclass(frozen=True)
 class Glimpse:
-    """Event: a frame was simulated. The event contains a small JPEG picture of it."""
+    """Event: a frame was simulated. The event contains a small JPEG picture of the frame."""
 
     picture: bytes
 

@@ -2,7 +2,7 @@
 
 A substep, a frame and a video each have a fixed cost and a cost per particle or pixel. To prevent
 visitors from distorting the costs, small runs are ignored, and the median of the latest runs is
-used, which may differ from the first measurement only by a limited factor.
+used. A cost may differ from the first measurement only by a limited factor.
 """
 
 from __future__ import annotations

@@ -150,7 +150,9 @@ class Arrivals:
         return upload.size if upload else 0
 
     def drop(self) -> bool:
-        """Remove the oldest upload of the address that stores most; return False if none exists."""
+        """Remove the oldest upload of the address that stores most. Return False if there is no
+        upload.
+        """
         if not self._uploads:
             return False
         sizes: Counter[str] = Counter()

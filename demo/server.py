@@ -54,7 +54,7 @@ LOOPBACK = ("localhost", "127.0.0.1", "::1")
 SWEEP = 5.0
 """Interval between two checks for visitors who have left the page [s]."""
 NAMES = ("NO_PROXY", "no_proxy")
-"""Environment variables that list hosts without a proxy; programs read one of the two."""
+"""Environment variables that list hosts reached without a proxy; programs read either variable."""
 
 
 def prepare(settings: Settings, root: Path) -> None:
@@ -255,8 +255,9 @@ def tool_routes(page: Any, studio: Studio) -> list[BaseRoute]:
 def without_cors() -> Iterator[None]:
     """Create apps without Gradio's CORS middleware within this context.
 
-    Gradio's middleware would let other sites read the answers of the page. Removing it after the
-    start would build all middleware again, and lose the counts of streams and requests.
+    Gradio's middleware would let other sites read the answers of the page. If the middleware were
+    removed after the start, all middleware would be built again, and the counts of streams and
+    requests would be lost.
     """
     from gradio import routes
 

@@ -1,8 +1,8 @@
 """Limit the number and size of Gradio's sessions.
 
 Gradio keeps up to 10,000 sessions until the server ends, and any request with a new name starts
-one. Each session describes the page, which takes 0.3 MB and 0.1 s; only deep links use this
-description.
+one. Gradio stores a description of the page in each session. This description takes 0.3 MB and 0.1
+s, and only deep links use it.
 """
 
 from __future__ import annotations
@@ -96,7 +96,9 @@ class Sessions(StateHolder):
                     self._remove(name)
 
     def _make_room(self, address: str) -> None:
-        """Remove a session, if possible of an absent visitor, else of the one with most of them."""
+        """If the address has too many sessions, remove one. Sessions of absent visitors are removed
+        first, then those of the visitor with most sessions.
+        """
         origins = {k: origin for k, origin in self._origins.items() if origin.address == address}
         if len(origins) < ADDRESS:
             return

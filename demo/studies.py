@@ -51,7 +51,7 @@ class Measurement(BaseModel):
 
     @classmethod
     def of(cls, report: Report) -> Measurement:
-        """Create a measurement, which contains only a part of the report of a study."""
+        """Create a measurement from a part of the report of a study."""
         levels = tuple(
             Level(cells=row.cells, seconds=row.seconds, error=row.error, torn=bool(row.torn))
             for row in report.rows

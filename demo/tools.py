@@ -1,9 +1,9 @@
 """The named endpoints as tools of an MCP server (Model Context Protocol), for agents.
 
-The tools call the functions of the endpoints, so the same checks and limits apply. Gradio's MCP
-server stores pictures before their size is checked, and its agents share one session, in which
-/render cannot use a run of /generate. Source of the protocol: modelcontextprotocol.io, revision
-2025-06-18, transport "Streamable HTTP" without sessions.
+The tools call the functions of the endpoints, so the same checks and limits apply. Gradio's own MCP
+server is not used: it stores pictures before their size is checked, and all agents share one
+session, so that /render cannot use a run of /generate. Source of the protocol:
+modelcontextprotocol.io, revision 2025-06-18, transport "Streamable HTTP" without sessions.
 """
 
 from __future__ import annotations

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from .line import Job
 
 AWAY = 150.0
-"""Time without requests after which a page counts as closed [s]; it sends one every minute."""
+"""Time without requests after which a page counts as closed [s]; pages send one every minute."""
 UNUSED = 16
 """Largest number of idle visitors per address; those idle longest are removed."""
 UNFINISHED = 3
@@ -223,7 +223,8 @@ class Visitors:
     def check_work(self, visitor: Visitor, most: int) -> None:
         """Check that neither the visitor nor the visitor's address has reached the limit of jobs.
 
-        An address may have up to half of the largest number `most` of waiting jobs.
+        `most` is the largest number of waiting jobs of all addresses. A single address may have up
+        to half of this number.
 
         Raises:
             InputError: There are too many unfinished jobs.

@@ -20,7 +20,9 @@ from .progress import Done, Measured
 from .work import Order, steps
 
 MARGIN = 1.5
-"""Declared time of a job divided by its predicted time; frames are simulated for 70 % of it."""
+"""Declared time of a job divided by its predicted time. Frames are simulated during at most 70 % of
+the declared time.
+"""
 SHORTEST = 15
 """Shortest time that a job declares to ZeroGPU, including the start of the forked process [s]."""
 COMPILING = 20
@@ -49,7 +51,7 @@ def work_on_gpu(longest: float) -> Work:
     """Return the function that executes an order (the request for a run) on a GPU of ZeroGPU.
 
     Raises:
-        InputError: The returned function raises it when ZeroGPU refuses a job.
+        InputError: ZeroGPU refuses a job. The returned function raises this error.
     """
     if find_spec("spaces") is None:
         return steps

@@ -50,7 +50,7 @@ class RclpySink:
 
         Args:
             options: Options that define how frames become messages.
-            clock: Whether to publish /clock. If so, no other node may publish it.
+            clock: Whether to publish /clock. If so, no other node may publish /clock.
             node: The node to use, with its executor if it has one. If None, create a node that ends
                 with the sink.
             args: `--ros-args` and the arguments after it, for the created node.

@@ -26,8 +26,8 @@ IDLE = 3
 """Number of reads without a message after which the queue is assumed to be empty."""
 READING, SHARE = 0.02, 0.25
 """Limit on the time for which messages are read before each frame: `READING` [s] or, if this is
-longer, the fraction `SHARE` of the time since the last reading. More messages wait in a slow
-run.
+longer, the fraction `SHARE` of the time since the last reading. In a slow run, more messages arrive
+between two readings.
 """
 FLOOD = "Messages arrive faster than they are read: only the newest of each topic are kept."
 

@@ -139,7 +139,8 @@ class SteeredRun:
         self.show(replace(frame, time=self.position))
 
     def steps(self, count: float) -> Iterator[int]:
-        """Compute `count` frames as fast as possible. After each, yield how many were computed.
+        """Compute `count` frames as fast as possible. After each frame, yield the number of frames
+        computed so far.
 
         Raises:
             InputError: The run is not paused, or the number is out of range.

@@ -55,7 +55,7 @@ FILES = {
     "scene.toml": ("Scene", "Every setting, to run it again", "experts", "scene"),
     "report.json": ("Report", "Times, effects, stability", "experts", "report"),
 }
-"""Name, hint, group in the download panel, and short name of each file of a result."""
+"""For each file of a result: name, hint, group in the download panel, and short name."""
 
 FITTED = {
     "comparison.mp4": ("Fit: video and simulation", "Side by side, MP4"),

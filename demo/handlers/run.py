@@ -51,7 +51,7 @@ def answer_change(change: Any, html: str | None) -> dict[str, Any]:
 def forecast_of(studio: Studio, choice: Choice, *, opened: bool = False) -> str:
     """Return the forecast of a run as HTML, or the reason why the run is refused.
 
-    The table of accuracies is visible at once if `opened` is true.
+    If `opened` is true, the panel with the table of accuracies is open.
     """
     try:
         return show_estimate(studio.forecast(choice), opened=opened)

@@ -29,7 +29,7 @@ ROOM, TIME = 0.5, 0.1
 file, and the length of the motion as a fraction of the time limit of a run.
 """
 FORCES = 64
-"""Number of forces and boundaries that a saved session may always have, such as grabs."""
+"""Number of forces (such as grabs) and boundaries that any saved session may have."""
 
 
 @dataclass

@@ -35,7 +35,7 @@ def film(order: Order, clips: Path, out: Path, limits: Limits) -> None:
         order: The order (the request for a run).
         clips: Folder that contains the clip.
         out: The folder to write.
-        limits: The time limit, and the receiver of events.
+        limits: Stops the job at its time limit, and passes events on.
     """
     clip, watch = Clip.load(clips / "clip.safetensors"), Stopwatch()
     # The page shows MP4 files; other formats are made on demand (demo/exports.py).

@@ -67,7 +67,7 @@ def simulate(
         gaussians: The object.
         order: The order (the request for a run).
         out: The folder to write.
-        limits: The time limit, and the receiver of events.
+        limits: Stops the job at its time limit, and passes events on.
         watch: Records the durations of the stages.
     """
     watching = Watching(order, limits)

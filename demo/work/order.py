@@ -26,7 +26,7 @@ VIEWED = ("view", "accuracy", "description")
 """Fields of a scene that change neither its motion nor the errors measured on several grids."""
 
 VECTOR, BYTES_SHOWN, BYTES_AT_REST = 12, 10, 200
-"""Bytes per Gaussian: for a vector, for a frame in the viewer, and for the object at rest."""
+"""Bytes that a Gaussian takes as a vector, in a frame of the viewer, and in the object at rest."""
 BYTES_MOVED = 8
 """Bytes per frame and particle of a clip that stores particles instead of Gaussians.
 
@@ -35,8 +35,8 @@ The clip of an object that is swung takes 7 bytes (docs/lab/sizes.md).
 BYTES_OF_FILMS = 2_000_000
 """Approximate size of a run's videos [bytes]."""
 COMPOSING, EACH = 210, 1800
-"""Cost of matching the camera and the colours of a video to a photograph: the time to render
-`COMPOSING` pictures, and `EACH` more pixels for each Gaussian.
+"""Matching the camera and the colours of a video to a photograph takes as long as rendering
+`COMPOSING` pictures and, in addition, `EACH` pixels per Gaussian.
 """
 
 
@@ -91,7 +91,7 @@ def folders(order: Order) -> tuple[Path, Path]:
 
 
 def stages_done(order: Order) -> dict[str, Any]:
-    """Return which stages of an order are already finished, as arguments of the forecast.
+    """Return arguments of the forecast that state which stages of an order are already finished.
 
     `composed` is the cost of rendering in the photograph, expressed as a number of rendered pixels.
     """

@@ -60,7 +60,7 @@ def others_of(visitor: Visitor, scene: Scene) -> tuple[Other, ...]:
 
 
 def with_crops(scene: Scene, others: tuple[Other, ...]) -> Scene:
-    """Return a copy of the scene that states how the pictures of these objects are cropped."""
+    """Return a copy of the scene in which each of these objects has the crop of its picture."""
     objects = list(scene.objects)
     for other in others:
         with Image.open(other.cutout) as cutout:

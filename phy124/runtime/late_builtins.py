@@ -16,7 +16,7 @@ DECLARING = "warp._src.builtins"
 
 
 class LateVariants:
-    """A module finder that finds nothing, but prepares Warp before it declares functions."""
+    """A module finder that finds no module, but prepares Warp before Warp declares functions."""
 
     def find_spec(self, name: str, path: object = None, target: object = None) -> None:
         """Prepare Warp if `name` is the module that declares Warp's functions."""
@@ -26,7 +26,9 @@ class LateVariants:
 
 
 def declare_late() -> None:
-    """Make Warp declare the Python variants late; call this function before importing Warp."""
+    """Make Warp declare a function's Python variants when one is called. Call this before importing
+    Warp.
+    """
     if DECLARING not in sys.modules:
         sys.meta_path.insert(0, LateVariants())  # pyright: ignore[reportArgumentType]
 

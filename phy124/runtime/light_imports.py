@@ -1,9 +1,10 @@
 """Imports packages without the parts that only their documentation and tests need.
 
-When SciPy is imported, it formats the docstrings of its functions. SciPy's copy of NumPy's names
-also imports parts of NumPy that phy124 does not use. tyro uses typeguard, which imports `unittest`
-for a single class, and thereby the event loop and TLS. pydantic describes its schemas by 70 typed
-dictionaries, which only type checkers read. Without these parts, the imports take half of the time.
+When SciPy is imported, it formats the docstrings of its functions. SciPy copies NumPy's names, and
+thereby imports parts of NumPy that phy124 does not use. tyro uses typeguard. For a single class,
+typeguard imports `unittest`, which imports the event loop and TLS. pydantic has 70 typed
+dictionaries for its schemas, but only type checkers read these dictionaries. Without these parts,
+the imports take half of the time.
 """
 
 import sys
@@ -20,7 +21,7 @@ UNUSED = {
     **{f"numpy.{name}": () for name in ("char", "ctypeslib", "f2py", "polynomial", "testing")},
     "unittest.mock": ("Mock", "patch"),
 }
-"""For each module that is not imported, the classes that other modules import from this module."""
+"""Modules that are not imported, each with the classes that other modules import from it."""
 TYPED_ONLY = "pydantic_core.core_schema"
 """Name of the module with typed dictionaries that only type checkers read."""
 SCIPY = ("scipy.ndimage", "scipy.sparse.linalg", "scipy.spatial", "scipy.fft")
@@ -38,7 +39,7 @@ class PlainDict(dict[str, Any]):
 
 
 class PlainDocs(defaultdict[str, list[Any]]):
-    """Replacement for SciPy's parsed docstring; parses nothing, and ignores changes of sections."""
+    """Replacement for SciPy's parsed docstring; keeps the text, and ignores changes of sections."""
 
     def __init__(self, function: object) -> None:
         super().__init__(list)
@@ -49,7 +50,7 @@ class PlainDocs(defaultdict[str, list[Any]]):
 
 
 def import_lightly(*names: str) -> None:
-    """Import modules; replace modules that they do not need by empty modules."""
+    """Import modules, with empty modules in place of the modules in `UNUSED`."""
     with _lock:
         missing = [name for name in names if name not in sys.modules]
         if missing:
@@ -60,7 +61,9 @@ def import_lightly(*names: str) -> None:
 
 @contextmanager
 def _stand_ins() -> Iterator[None]:
-    """Within this context, replace unneeded modules that are not imported yet by empty modules."""
+    """Within this context, an empty module replaces each module in `UNUSED` that is not imported
+    yet.
+    """
     added: list[tuple[str, ModuleType | None]] = []
     for name, classes in UNUSED.items():
         package, _, last = name.rpartition(".")

@@ -29,8 +29,8 @@ HEAPS = "MALLOC_ARENA_MAX"
 def release(array: object) -> None:
     """Return the memory of a memory-mapped array to the system after the array has been read.
 
-    If the memory is not returned, a long run that reads all frames seems to need memory for all
-    frames at once.
+    If the memory is not returned, a long run that reads all frames seems to need enough memory for
+    all frames.
     """
     mapped: Any = getattr(array, "_mmap", None)
     if hasattr(mapped, "madvise") and hasattr(mmap, "MADV_DONTNEED"):
@@ -108,10 +108,10 @@ def share_heap() -> None:
 
 @contextmanager
 def pause_collection() -> Iterator[None]:
-    """Disable the garbage collector within this context; modules should be imported in it.
+    """Disable the garbage collector within this context, which is meant for importing modules.
 
-    Later collections also skip the objects that exist at the end of the context. Otherwise,
-    collections would take 0.9 s of a command that takes 6 s.
+    Later collections also skip the objects that exist at the end of the context. Without this
+    context, collections take 0.9 s of a command that takes 6 s.
     """
     was = gc.isenabled()
     gc.disable()
@@ -124,7 +124,7 @@ def pause_collection() -> Iterator[None]:
 
 
 def refuse_narrow() -> None:
-    """Check that the limits of stack and address space are large enough, before NumPy is imported.
+    """Before NumPy is imported, check that the limits of stack and address space are large enough.
 
     If the address space is limited but large enough, OpenBLAS gets a single thread, because each
     OpenBLAS thread allocates buffers.

@@ -87,7 +87,8 @@ def as_done(
 def _exit_codes(pool: ProcessPoolExecutor) -> set[int]:
     """Return the exit codes of a broken pool's workers; a signal is a negative number.
 
-    If a thread of the pool waits for the same worker, the exit code is missing for a moment.
+    While a thread of the pool also waits for a worker, the worker's exit code may be missing. This
+    function then waits up to `LEFT` seconds for the exit code.
     """
     workers = [*(pool._processes or {}).values()]  # the pool has no public attribute for them
     end = time.monotonic() + LEFT

@@ -17,8 +17,8 @@ def handling(handler: Handler, *, always: Collection[str] = ()) -> Iterator[None
     """Within this context, signals that end a process call `handler`.
 
     Outside of the main thread, the context has no effect. Signals that the parent process has set
-    to be ignored (nohup) stay ignored, unless they are in `always`. The option `always` exists
-    because a shell without job control makes background processes ignore SIGINT.
+    to be ignored (nohup) stay ignored, unless they are in `always`. For example, a shell without
+    job control makes background processes ignore SIGINT, and `always` can undo this.
     """
     usual = {}
     if threading.current_thread() is threading.main_thread():
@@ -35,10 +35,12 @@ def handling(handler: Handler, *, always: Collection[str] = ()) -> Iterator[None
 
 @contextmanager
 def without_signals(names: Collection[str] = NAMES) -> Iterator[None]:
-    """Within this context, new processes never get the signals, and this thread gets them later.
+    """Block signals within this context.
 
-    Terminals and supervisors send such a signal to all processes of a command, but only the first
-    process should decide how the command ends. On Windows, this context has no effect.
+    This thread receives the signals at the end of the context. Processes that are started within
+    the context never receive the signals. Terminals and supervisors send such a signal to all
+    processes of a command, but only the first process should decide how the command ends. On
+    Windows, this context has no effect.
     """
     if not hasattr(signal, "pthread_sigmask"):
         yield

@@ -1,7 +1,7 @@
 """Handles errors of the standard streams: closed streams, broken pipes, and missing characters.
 
-Results matter more than messages. If a stream is closed or broken, the remaining text is therefore
-discarded. A character that is missing in the encoding is replaced by ASCII.
+Results matter more than messages: if a stream is closed or broken, the program continues, and the
+remaining text is discarded. A character that is missing in the encoding is replaced by ASCII.
 """
 
 import codecs
@@ -24,8 +24,8 @@ SPELLED = {"•": "*", "…": "...", "–": "-", "—": "-", "×": "x", "−": "
 def steady_streams() -> Iterator[list[OSError]]:
     """Within this context, writing to standard output and standard error never fails.
 
-    Yields a list, to which errors are added when text for standard output is lost. If a reader
-    closes the pipe early, this is not an error, since the reader has read enough.
+    Yields a list, to which errors are added when text for standard output is lost. No error is
+    added if a reader closes the pipe early, because the reader has read enough.
     """
     _occupy()
     codecs.register_error(PLAIN, _spell)

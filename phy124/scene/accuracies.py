@@ -9,7 +9,7 @@ from phy124.mpm.timestep import beside_rpic
 from phy124.schema.section import Section, omit_default
 
 USUAL = {"transfer": "apic", "gradient": "affine", "rpic_damping": 0.0}
-"""Default transfers of MPM; other solvers ignore these settings."""
+"""Default values of the settings for MPM's transfers; other solvers do not use these settings."""
 
 
 class Accuracy(Section):
@@ -124,9 +124,9 @@ def check_transfer(accuracy: Accuracy) -> None:
     """Refuse settings that the chosen transfer or solver does not support.
 
     Raises:
-        InputError: `blend` is set without aflip, or `rpic_damping` or `gradient` without apic. Also
-            raised if one of them is set for a liquid with projected pressure or for the lattice
-            solver.
+        InputError: `blend` is set, but the transfer is not aflip; or `rpic_damping` or `gradient`
+            is set, but the transfer is not apic. The settings in `USUAL` are also refused for
+            liquids with projected pressure, and for the lattice solver.
     """
     transfer = accuracy.transfer
     changed = [name for name, usual in USUAL.items() if getattr(accuracy, name) != usual]

@@ -129,7 +129,7 @@ def _put(data: dict[str, Any], path: str, value: Any) -> None:
 
 
 def _item(section: Any, key: str, path: str, value: Any, new: Any = None) -> Any:
-    """Return the dict or list under a key, or else add `new`.
+    """Return the dict or list under a key; if the key is missing, add `new` and return it.
 
     A named accuracy is replaced by its values, so that one value can be changed.
     """

@@ -47,8 +47,8 @@ def energy(scene: Any, thickness: float | None = None) -> float:
 
 
 def driven(scene: Any) -> float:
-    """Return the largest displacement by a prescribed velocity, relative to the object's size; an
-    upper bound.
+    """Return an upper bound on the displacement that a prescribed velocity causes, relative to the
+    object's size.
     """
     end = duration(scene)
     moved = [
@@ -70,7 +70,7 @@ def _speed(body: Any, size: float) -> float:
 
 
 def _effect(force: Any, mass: float, scene: Any) -> tuple[float, float]:
-    """Return the speed [m/s] and the acceleration [m/s^2] by a force at full strength."""
+    """Return the speed [m/s] and the acceleration [m/s^2] that a force causes at full strength."""
     size = scene.object.size
     match force.kind:
         case "impulse":

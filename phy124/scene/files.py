@@ -22,7 +22,7 @@ DEEPEST = 32
 
 
 def read_toml(path: str | os.PathLike[str], field: str) -> dict[str, Any]:
-    """Read a TOML file; error messages call it `field`.
+    """Read a TOML file. In error messages, the file is called `field`.
 
     Raises:
         InputError: The file cannot be read or is not TOML.
@@ -63,7 +63,7 @@ def read_cameras(path: str | os.PathLike[str]) -> list[Any]:
 
 
 def check_depth(data: Any, field: str) -> None:
-    """Refuse plain data that is nested too deep; messages call the data `field`.
+    """Refuse plain data that is nested too deep. In error messages, the data is called `field`.
 
     Raises:
         InputError: The data is nested deeper than `DEEPEST`.

@@ -23,8 +23,9 @@ kPa, the cube did not.
 
 FARTHEST_DRIVEN = 0.5
 """Largest prescribed displacement of a held object for which `auto` chooses lattices, relative to
-the object's size. If the upper third of a ball is driven into its held foot, which is half the
-ball's size away, the run on a lattice stops early, and the run with MPM does not.
+the object's size. Example: the foot of a ball is held, and the ball's upper third is driven into
+the foot, by half the ball's size. The run on a lattice then stops early, and the run with MPM does
+not.
 """
 
 
@@ -99,7 +100,7 @@ def _needs_lattice(scene: Any) -> bool:
 
 
 def keep_lattice(scene: Any, before: Any) -> Any:
-    """Return the next scene of a run, with the previous solver for elastic objects."""
+    """Return `scene` with the solver that the scene `before` uses for elastic objects."""
     if scene.solver == before.solver:
         return scene
     return _with_solver(scene, before.solver)

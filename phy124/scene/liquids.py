@@ -15,7 +15,9 @@ REMEDY = Remedy("accuracy.liquid = compressible", {"accuracy.liquid": "compressi
 
 
 def reason_for_compressible(scene: Any) -> str:
-    """Return the reason why a scene's liquid is computed as compressible; empty with projection."""
+    """Return the reason why a scene's liquid is computed as compressible. If the liquid is computed
+    by pressure projection, return an empty text.
+    """
     accuracy = scene.resolution
     if accuracy.liquid is not None:
         return "" if accuracy.liquid == "projection" else "accuracy.liquid is compressible"
@@ -33,7 +35,7 @@ def reason_for_compressible(scene: Any) -> str:
 
 
 def keep_solver(scene: Any, before: Any) -> Any:
-    """Return the next scene of a run, with the previous solver for the liquid."""
+    """Return `scene` with the solver that the scene `before` uses for the liquid."""
     if not any(section.law == "fluid" for section in scene.materials):
         return scene
     liquid = "projection" if before.projects else "compressible"
@@ -42,8 +44,8 @@ def keep_solver(scene: Any, before: Any) -> Any:
 
 
 def refuse_unprojectable(scene: Any) -> None:
-    """Check that pressure projection supports everything in the scene, with solids on paths as
-    walls.
+    """Check that pressure projection supports everything in the scene. `scene` must have a wall for
+    each solid on a path.
 
     Raises:
         InputError: The scene contains something that only the compressible solver supports.

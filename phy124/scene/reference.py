@@ -88,7 +88,7 @@ def format_reference(section: str | None = None) -> str:
 
 
 def list_pages() -> dict[str, str]:
-    """Return tables in Markdown by section name; `scene` has the top-level fields."""
+    """Return tables in Markdown by section name. The table `scene` lists the top-level fields."""
     declared, written = read_declaration(Scene), dict[str, str]()
     pages = dict[str, str]()
     for path, text in _format_section(declared, "Fields of a scene", declared.schema, "", written):
@@ -106,7 +106,8 @@ def format_schema() -> str:
 def _format_section(
     declared: Declaration, title: str, node: Node, path: str, written: dict[str, str]
 ) -> Iterator[tuple[str, str]]:
-    """Yield the path and the table of a section, and of inner sections without a table.
+    """Yield the path and the table of a section, then those of inner sections that have no table
+    yet.
 
     `written` maps sections to the headings of their tables.
     """
@@ -157,7 +158,9 @@ def _format_table(declared: Declaration, node: Node, written: dict[str, str]) ->
 
 
 def _format_default(node: Node, *, below: bool) -> str:
-    """Return the default of a field; a section without a table below is written in full."""
+    """Return the default of a field. If `below` is false, a section without a law or kind is
+    written in full.
+    """
     default = node.get("default")
     if default in (None, [], ""):
         return "none"

@@ -118,7 +118,8 @@ class Checks(Section):
 def check_energy(checks: Checks, unsupported: dict[str, bool]) -> None:
     """Refuse `checks.energy` if part of the energy would not be measured.
 
-    `unsupported` states for each feature without such a measurement whether the scene has it.
+    The keys of `unsupported` are the features whose energy is not measured. The values state
+    whether the scene has the feature.
 
     Raises:
         InputError: `checks.energy` is on and the scene has such a feature.

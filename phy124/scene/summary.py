@@ -16,7 +16,7 @@ BINDINGS = {
 def summarise(scene: Scene, cells: str = "") -> str:
     """Return law, parameters, forces, boundaries, grid and frames in one line.
 
-    `cells` replaces the number of cells if the grid is chosen later.
+    If the grid is chosen later, `cells` is written in place of the number of cells.
     """
     items = [_describe_material(scene.material)]
     if scene.parts:

@@ -16,7 +16,9 @@ class Declaration:
         self.schema: Node = root.model_json_schema()
 
     def resolve(self, node: Node) -> Node:
-        """Return the schema to which a node refers; for an optional field, that of the value."""
+        """Return the schema to which a node refers. For an optional field, return the schema of the
+        value.
+        """
         while True:
             options = [option for option in node.get("anyOf", []) if option != {"type": "null"}]
             if "$ref" in node:

@@ -49,7 +49,9 @@ def explain(error: ValidationError, source: str, root: type[BaseModel]) -> Input
 
 
 def explain_options(error: ValidationError) -> InputError:
-    """Convert pydantic's error in a section of options; its title names the section's class."""
+    """Convert pydantic's error in a section of options; the error's title names the section's
+    class.
+    """
     kinds, sections = [Section], {}
     while kinds:
         kind = kinds.pop()
@@ -61,7 +63,7 @@ def explain_options(error: ValidationError) -> InputError:
 def validate(
     kind: type[Options], data: Options | Mapping[str, Any], source: str = "options"
 ) -> Options:
-    """Return options, which may be plain data, as an object of their class.
+    """Return options as an object of their class; the options may also be plain data.
 
     `source` names the data in errors that concern no single field.
 

@@ -55,8 +55,9 @@ class Appearance(NamedTuple):
         return {law: self._spans(self._has_law(law, materials)) for law in laws}
 
     def liquids(self, materials: Sequence[AnyMaterial]) -> list[dict[str, Any]]:
-        """Return, for each liquid, its visibility [m] or None, its viscosity [Pa s], the index
-        ranges (spans) of its Gaussians, and the volume of a Gaussian in each range [m^3].
+        """Return a dict for each liquid: its visibility [m] or None, its viscosity [Pa s], the
+        index ranges (`runs`) of its Gaussians, and for each range the volume of a Gaussian
+        (`volumes`) [m^3].
 
         Materials that differ only in their colours are one liquid: no surface separates them.
         """
@@ -105,8 +106,8 @@ class Appearance(NamedTuple):
     def _volumes(self, kind: int) -> tuple[list[list[int]], list[float]]:
         """Return the index ranges of a material's Gaussians, and the volume of a Gaussian in each.
 
-        A grain has the volume of a particle. The other volume is divided among the Gaussians on the
-        surface.
+        A grain has the volume of a particle. The remaining volume of the material is divided among
+        the Gaussians on the surface.
         """
         particles = self.particles.volume[self.particles.material == kind]
         surface = self._spans(self.rounds & (self.kinds == kind))

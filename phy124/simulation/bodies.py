@@ -56,10 +56,10 @@ class Placed(NamedTuple):
     gaussians: Gaussians
     crop: Crop
     interior: Solid | None = None
-    """Interior; None if not yet known."""
+    """The interior of the object; None if the interior is not known yet."""
 
     def within(self, scene: Scene) -> Placed:
-        """Return a copy for another scene and grid; the copy keeps the parts."""
+        """Return a copy with another scene, but with the same parts."""
         return self._replace(scene=scene.model_copy(update={"parts": self.scene.parts}))
 
 
@@ -76,20 +76,21 @@ class Body(NamedTuple):
     stiffness: NDArray | None
     """Factor on Young's modulus for each particle [P]; None: all are 1."""
     interiors: Sequence[tuple[Solid, float]] = ()
-    """Interior of each moving object without surroundings, and its longest side [m]."""
+    """For each moving object, its interior and its longest side [m], both without surroundings."""
     placed: Placed | None = None
-    """Position of a single object; None if there are several."""
+    """The single object in its position; None if there are several objects."""
 
 
 def make_body(gaussians: Gaussians, scene: Scene, crop: Crop, placed: Placed | None = None) -> Body:
     """Create all objects of a scene.
 
     Args:
-        gaussians: The objects, of any size, upright and facing +x; without `object_id`, all belong
-            to the first object. Objects without Gaussians are shapes or copies of the first object.
+        gaussians: The Gaussians of the objects, of any size, upright and facing +x. Without
+            `object_id`, all Gaussians belong to the first object. Objects without Gaussians are
+            shapes or copies of the first object.
         scene: The scene.
         crop: Position of the first object in its picture.
-        placed: A single object in its position, if known.
+        placed: If it is known, the single object of the scene in its position.
 
     Raises:
         InputError: The Gaussians cannot be used for this scene.

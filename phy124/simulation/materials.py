@@ -141,7 +141,8 @@ def vary_materials(
     belonging: NDArray[np.bool_],
     crop: Crop,
 ) -> tuple[Particles, Sequence[AnyMaterial], NDArray[np.float64] | None]:
-    """Return particles and materials with the scene's properties, and the fraction of E [P].
+    """Apply the scene's properties file and stiffness. Return the particles, their materials, and
+    the fraction of E for each particle [P] or None.
 
     Args:
         particles: The moving particles, with indices into the scene's materials.
@@ -171,11 +172,13 @@ def vary_materials(
 def with_properties(
     particles: Particles, columns: dict[str, NDArray[Any]], materials: Sequence[AnyMaterial]
 ) -> tuple[Particles, list[AnyMaterial], NDArray[np.intp]]:
-    """Return particles with the materials of a file, sorted by law; the materials; and the order.
+    """Assign the materials of a properties file to particles. Return the particles sorted by law,
+    the materials, and the previous index of each particle.
 
     Args:
         particles: The moving particles, with indices into `materials`.
-        columns: E, nu, density, damping [P] and names of laws [P]; some may be missing.
+        columns: The columns of the file by name: E, nu, density, damping and names of laws, each
+            [P]. Columns may be missing.
         materials: The scene's materials; a column replaces the field of the same name.
 
     Raises:

@@ -1,5 +1,5 @@
-"""Refuses bodies that overlap at the start, since contact cannot separate overlapping bodies, and
-regions of forces and clamps without material.
+"""Refuses bodies that overlap at the start, because contact cannot separate overlapping bodies.
+Also refuses forces and clamps whose regions contain no material.
 """
 
 from collections.abc import Iterator, Sequence
@@ -21,8 +21,9 @@ from phy124.scene import Scene
 DEEPEST = 1.0
 """Largest overlap allowed at the start [cells]; surfaces are known to within one cell."""
 INSIDE = 1 / 3
-"""Largest fraction of an object that may start inside an object on a lattice. An object thinner
-than a cell shares at most a layer of cells with another object, even if it is completely inside.
+"""Largest fraction of an object that may start inside an object on a lattice. Even if an object
+thinner than a cell is completely inside another object, the two objects share at most one layer of
+cells.
 """
 MOST = 0.1
 """Largest fraction of the material that may start deeper than `DEEPEST` inside a wall."""
@@ -35,7 +36,7 @@ class Buried(NamedTuple):
     """Index of the wall among the scene's boundaries."""
     kind: str
     material: str
-    """Name of the material in a message: that of an object, if there are several."""
+    """Name of the material in a message. If there are several objects, it is the object's name."""
     fraction: float
     """Fraction of the material more than `DEEPEST` cells behind the wall's surface."""
     depth: float
@@ -53,7 +54,8 @@ class Buried(NamedTuple):
 def refuse_empty(scene: Scene, model: Model) -> None:
     """Check that the regions of forces, and the clamps of lattices, contain material at the start.
 
-    Clamps in other scenes also hold material that arrives later.
+    Without lattices, a clamp may be empty, because the clamp also holds material that arrives
+    later.
 
     Raises:
         InputError: A region or a clamp contains no material.
@@ -96,7 +98,8 @@ def notes(boundaries: Sequence[Boundary], model: Model) -> list[str]:
 
 
 def find_buried(boundaries: Sequence[Boundary], model: Model) -> Iterator[Buried]:
-    """Yield the walls with material of an object behind their surface at the start.
+    """Yield each wall and object, if material of the object starts deeper than `DEEPEST` in the
+    wall.
 
     A bounded solid with sticky contact is a clamp and may overlap the material.
     """
@@ -134,7 +137,8 @@ def refuse_solids(solids: Sequence[FreeBody], x: NDArray, scene: Scene) -> None:
 
 
 def refuse_sunken(solids: Sequence[FreeBody], planes: Sequence[Plane], model: Model) -> None:
-    """Check that no rigid solid starts behind a flat wall, which would push it out abruptly.
+    """Check that no rigid solid starts behind a flat wall; the wall would push the solid out
+    abruptly.
 
     Raises:
         InputError: A solid starts more than `DEEPEST` cells behind a wall.

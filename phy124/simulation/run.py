@@ -44,7 +44,7 @@ class Stopped(RuntimeError):
 
     def __init__(self, why: str, remedies: Sequence[Remedy] = ()) -> None:
         self.remedies = tuple(remedies)
-        """Changes to the scene; each is sufficient."""
+        """Changes to the scene; one of these changes is sufficient."""
         super().__init__(f"{why} {advise(remedies)}".strip())
 
 
@@ -57,7 +57,7 @@ class Interrupted(Cancelled):
 
 
 class Simulation:
-    """One run; iterating yields the frames, and continues after a pause.
+    """One run. An iteration yields the remaining frames, so a run can be paused and continued.
 
     `phy124.pipeline.resume` saves a paused run and continues it later, bit for bit.
     """
@@ -87,7 +87,9 @@ class Simulation:
         measured = scene.velocities or scene.keeps_contacts
         size = cost.BYTES_PER_GAUSSIAN * count * scene.time.frames
         self.light = setup.keep and setup.shapes and not measured and size > cost.HELD
-        """Whether `frames` contain no Gaussians; these are computed later from the motion."""
+        """Whether `frames` contain no Gaussians. The Gaussians are then computed later from the
+        motion.
+        """
         self._recorded: Recorded | None = None
         self.rotations: list[NDArray] = []
         """Rotations of Gaussians in each frame [N,4] wxyz, if colours depend on rotations."""
@@ -145,8 +147,8 @@ class Simulation:
         """Continue with the forces and boundaries of another scene, from the next substep on.
 
         Raises:
-            InputError: A force or boundary does not fit the object or the grid; in this case
-                nothing has changed.
+            InputError: A force or boundary does not fit the object or the grid. The run is then
+                unchanged.
         """
         rejected = self.solver.rejection.rejected
         scene = keep_lattice(scene, self.setup.scene)
@@ -180,7 +182,8 @@ class Simulation:
             shapes: As for `clip`.
 
         Raises:
-            Interrupted: The run was cancelled; the state is the state after the last frame.
+            Interrupted: The run was cancelled. Its state is the state after the last computed
+                frame.
         """
         try:
             while self.count < self.scene.time.frames:
@@ -230,7 +233,7 @@ class Simulation:
     def shapes_of(self, clip: Clip, *, every: bool = True) -> dict[str, Any]:
         """Return the report's entry about the shapes of the Gaussians in the run's clip.
 
-        Without `every`, a run with `light` set skips the frames that have not been read.
+        If `every` is false and `light` is set, frames that have not been read are skipped.
         """
         look, materials = self.setup.appearance, self.setup.materials
         if self._recorded is None:
@@ -363,7 +366,9 @@ class Simulation:
 
     @lock_gpu
     def _advance(self, index: int, until: float) -> None:
-        """Take substeps up to the time of a frame, after a failure with half the substep."""
+        """Take substeps up to the time of a frame. After a failure, try again with half the
+        substep.
+        """
         with self.setup.context.watch.stage("simulate"), self.spent.counting():
             start = (index - 1) / self.scene.time.fps
             prepare = [partial(observer.before_frame, start) for observer in self.observers]

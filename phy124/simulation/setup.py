@@ -43,7 +43,7 @@ class Setup:
     no_lattice: str
     """Reason why no object is simulated on a lattice, or empty."""
     solid_scene: Scene
-    """The scene, with objects on a path as walls."""
+    """The scene, with a wall for each object on a path."""
     cleaned_scene: Scene
     """The scene, whose parts select Gaussians by the indices after cleaning."""
     cleaning: list[str]
@@ -52,7 +52,8 @@ class Setup:
     interiors: Sequence[tuple[Solid, float]]
     """See `Body.interiors`."""
     placed: Placed | None
-    """The object in its position, for further setups; None if there are several objects."""
+    """The object in its position, which further setups can use; None if there are several objects.
+    """
     appearance: Appearance
     particles: Particles
     """Particles of the solver at rest, in the order of the solver's slabs."""
@@ -75,7 +76,7 @@ class Setup:
     changes: bool
     """Whether forces, boundaries and stiffness may change during the run."""
     observers: tuple[type[Observer], ...]
-    """Classes from which the scene selects the observers."""
+    """Classes of observers; the scene determines which of these classes are used."""
 
     @property
     def shown(self) -> Gaussians:
@@ -200,7 +201,7 @@ def sort_for_slabs(
         materials: Materials of the particles.
         stiffness: One value per particle [P], or None.
         dx: Thickness of a layer [m].
-        axis: The axis perpendicular to the layers; 0: no change.
+        axis: The axis perpendicular to the layers; 0: the order stays the same.
     """
     if axis == 0:
         return particles, stiffness

@@ -150,7 +150,9 @@ def find_tops(
 
 
 def wrap(scene: Scene, observers: Sequence[Observer]) -> dict[str, Any]:
-    """Return the forces and boundaries for `bind` of the solver, with the observers' stages."""
+    """Return the arguments for the solver's `bind`: forces and boundaries, wrapped by the
+    observers.
+    """
     forces: Sequence[Attachable] = scene.acting
     walls: Sequence[Attachable] = scene.boundaries
     for observer in observers:
@@ -174,8 +176,8 @@ def wrap(scene: Scene, observers: Sequence[Observer]) -> dict[str, Any]:
 def kernels(scene: Scene, device: str = "cpu") -> Iterator[Any]:
     """Yield the kernels of one thread in a run of a scene.
 
-    Kernels of grabs and wrenches on a part of the object are omitted; compiling each takes 0.3 s
-    when needed.
+    Kernels of grabs and wrenches on a part of the object are omitted. If a run needs such a kernel,
+    compiling the kernel takes 0.3 s.
     """
     scene = choose_solver(scene, device)
     precision = scene.precision

@@ -31,11 +31,12 @@ class OnnxNetwork:
         path: The .onnx file; its external data must be in the same folder.
         inputs: Names of the inputs, in the order in which they are passed; None: as in the file.
         outputs: Names of the returned outputs; None: the first output.
-        folds: Whether constants are computed on opening; weights of 8 bits are then unpacked to
-            float32, which takes more memory.
+        folds: Whether constants are computed when the file is opened. Weights of 8 bits are then
+            unpacked to float32, so they need more memory.
 
     Raises:
-        InputError: onnxruntime is not installed, or the file is unreadable or of another network.
+        InputError: onnxruntime is not installed, or the file is unreadable, or the file contains
+            another network.
     """
 
     def __init__(

@@ -196,7 +196,7 @@ def _ensure_width() -> Iterator[None]:
 
 
 class _Refused(Exception):
-    """Wraps an InputError, because the parser would catch it as a ValueError."""
+    """Wraps an InputError. The parser would catch the InputError itself as a ValueError."""
 
     def __init__(self, error: InputError) -> None:
         self.error = error

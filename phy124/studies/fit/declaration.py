@@ -36,7 +36,9 @@ def parse_range(data: Any) -> Any:
 
 
 def _kind(data: Any) -> str:
-    """Data of other kinds get the tag "even", whose type refuses them."""
+    """Return the tag of a range. Invalid data get the tag "even", because its type refuses the
+    data.
+    """
     log = isinstance(data, LogUniform) or (isinstance(data, dict) and "log_uniform" in data)
     return "log" if log else "even"
 

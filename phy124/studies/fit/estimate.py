@@ -49,8 +49,8 @@ class Estimate:
         """Return the values on a grid [P] and the half-widths of their intervals [P].
 
         The values are extrapolated to `cells` cells across the object; infinity means a grid
-        without error. The uncertainty of the extrapolation is the larger of `model` and the shift
-        by the extrapolation. It is added to `sampling`.
+        without error. Each half-width is `sampling` plus the larger of two numbers: `model`, and
+        the shift of the value by the extrapolation.
         """
         place, shift = extrapolate(self.grids, self.places, cells)
         return place, self.sampling + np.maximum(self.model, shift)

@@ -113,9 +113,9 @@ def shift_values(
 ) -> NDArray[np.float64]:
     """Return the largest shift of each value [P] that grid errors of known size can cause.
 
-    In the worst case, which is assumed, grid errors look like a change of a value. Errors of norm e
-    then shift value i of a least-squares fit by `e sqrt(((J^T J)^-1)_ii)`. In synthetic tests, grid
-    errors had two to four singular values.
+    The worst case is assumed: grid errors look like a change of a value. Grid errors have few
+    degrees of freedom (two to four singular values in synthetic tests). Errors of norm e then shift
+    value i of a least-squares fit by `e sqrt(((J^T J)^-1)_ii)`.
 
     Args:
         jacobian: Derivatives of the weighted prediction [M,P], in units of the misfit.
@@ -131,16 +131,16 @@ def shift_values(
 
 
 DEAD = 1e-3
-"""Smallest effect of a value that can be determined: the change of the measurements over the
-value's range, divided by the norm of the measurements.
+"""Smallest effect of a value that can be determined. The effect of a value is the change of the
+measurements over the value's range, divided by the norm of the measurements.
 """
 ALIKE = 0.12
 """Smallest singular value at which two values can be separated; 0.12 means a correlation of 0.986.
 
-The matrix has the effects of the values on the measurements, normalised to length 1, as columns.
+Each column of the matrix is the effect of one value on the measurements, normalised to length 1.
 Below this limit, the effects of two values differ by no more than grid errors. For a pressed duck
-without known forces, E and density have a singular value of 0.04 to 0.08 (16 and 20 cells), and E
-and nu have 0.93.
+without known forces, the singular value of E and density is 0.04 to 0.08 (with 16 and 20 cells),
+and that of E and nu is 0.93.
 """
 SHARE = 0.3
 """A value is undetermined if it has at least this component in the least determined direction."""

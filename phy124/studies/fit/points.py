@@ -106,7 +106,9 @@ def _seen(first: Values, rest: Values, camera: Camera) -> tuple[NDArray[np.int64
 def _query(
     rest: Values, first: Values, count: int, of_what: str
 ) -> tuple[Values, NDArray[np.int64], float]:
-    """Return distances and indices of the Gaussians nearest to K points [K,count], and the size."""
+    """Return distances and indices of the Gaussians nearest to K points [K,count], and the object's
+    size.
+    """
     from scipy.spatial import KDTree
 
     count = min(count, len(rest))

@@ -52,7 +52,7 @@ def fit(
 
     Args:
         declared: The options of the fit.
-        out: Folder for the results, also of the single runs.
+        out: Folder for the results of the fit and of its runs.
         workers: Number of worker processes; 0: this process makes all runs.
         on_forecast: Function called with the forecast before the first run.
         progress: Function called with ("fit", runs made, runs expected); it may raise Cancelled.

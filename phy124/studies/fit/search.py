@@ -45,7 +45,7 @@ def log2_screened(count: int) -> int:
 
 
 def generation_size(count: int) -> int:
-    """Return the number of runs in a generation of CMA-ES; even, for two cores."""
+    """Return the number of runs in a generation of CMA-ES, an even number that suits two cores."""
     return 2 * ((5 + int(3 * np.log(count))) // 2)
 
 

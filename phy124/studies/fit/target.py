@@ -79,7 +79,7 @@ class Target:
 
     @property
     def played(self) -> Scene:
-        """The scene that the runs simulate: without grains, until the last measurement."""
+        """The scene that the runs simulate. It has no grains, and ends at the last measurement."""
         timing = self.scene.time
         frames = int(np.ceil((self.observations.last - ROUNDED) * timing.fps)) + 1
         return self.scene.replaced({"time.frames": min(frames, timing.frames), "grains": False})

@@ -19,7 +19,7 @@ from phy124.studies.fit.observation import Values
 FILMS = (".mp4", ".webm", ".mov", ".mkv", ".avi", ".gif", ".webp")
 PICTURES = (".png", ".jpg", ".jpeg", ".webp")
 DIFFERS = 20.0
-"""Smallest distance between the colours of object and background in RGB; at most 442."""
+"""Smallest distance between the colours of object and background in RGB; the maximum is 442."""
 MOST = 2000
 SIDE = 256
 """Longest side of frames in memory [pixels]; 2,000 frames then take 400 MB."""
@@ -161,7 +161,9 @@ def _refuse_endless(path: Path, count: int) -> None:
 
 
 def _mask(picture: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """In an opaque frame, the object differs from the median colour of the border."""
+    """Return the mask of the object: pixels that are opaque or, if the whole frame is opaque,
+    differ from the median colour of the border.
+    """
     if picture.shape[2] == 4 and picture[..., 3].min() < 255:
         return picture[..., 3] > 127
     colour = picture[..., :3].astype(np.float32)

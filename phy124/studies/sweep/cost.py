@@ -105,7 +105,7 @@ def _forecast_clip(plan: Plan, item: Item, forecaster: Forecaster) -> tuple[floa
 SAMPLED = 256
 """Maximum number of clips from which the mean work of all clips is estimated."""
 ORIGIN = 1e-3
-"""Weight per finished clip of the point (no work, no time) in the fit of the line."""
+"""The fit of the line includes the point (no work, no time) with this weight per finished clip."""
 FEWEST = 3
 """Number of finished clips after which the remaining time is estimated."""
 
@@ -116,7 +116,9 @@ class Remaining:
     def __init__(
         self, plan: Plan, numbers: Sequence[int], clock: Callable[[], float] = time.time
     ) -> None:
-        """`numbers` are the clips to make; `clock` returns the time as in the column `written`."""
+        """`numbers` are the clips to make; `clock` returns the present time, as in the column
+        `written`.
+        """
         self._plan, self._numbers, self._clock = plan, numbers, clock
         self._start: float | None = None
         self._last = -1
@@ -168,7 +170,7 @@ def work_of(scene: Scene, *, films: bool) -> float:
 
 
 def fit_line(moments: np.ndarray) -> tuple[float, float]:
-    """Fit a line of seconds over work; return its intercept [s] and slope, neither negative.
+    """Fit a line of seconds over work. Return its intercept [s] and its slope; neither is negative.
 
     If all clips have equal work, only a small penalty on the intercept makes the fit unique.
     `moments` are sums over clips: their number, work, seconds, work squared, and work times

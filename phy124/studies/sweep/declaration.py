@@ -211,7 +211,7 @@ def _refuse_descending(ends: Sequence[float]) -> None:
 
 
 KIND = re.compile(rf"\.({'|'.join(NAMED.values())})\b")
-"""Names of axis types, which pydantic adds to fields in its errors."""
+"""Matches names of axis types; in its errors, pydantic adds such a name to the name of a field."""
 Texts = Annotated[
     tuple[str, ...], BeforeValidator(lambda data: (data,) if isinstance(data, str) else data)
 ]

@@ -99,7 +99,9 @@ def code() -> str:
 
 
 HEXADECIMAL = 16
-"""Digits of a key that `Seen` stores; two of 1e6 keys agree in them with a probability of 3e-8."""
+"""Number of a key's digits that `Seen` stores. The probability that these digits are equal for any
+two of 1e6 keys is 3e-8.
+"""
 RECENT = 4096
 """Maximum number of unsorted keys in `Seen`."""
 

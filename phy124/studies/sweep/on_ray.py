@@ -97,7 +97,9 @@ class _Tasks:
         return AHEAD * max(1, int(self.ray.cluster_resources().get("CPU", 1)))
 
     def _reserve(self, order: Order) -> dict[str, float]:
-        """Reserve no more memory than the largest node has, because the task would never start."""
+        """Return the resources to reserve. The memory is at most that of the largest node, because
+        a task that reserves more would never start.
+        """
         nodes = [node["Resources"] for node in self.ray.nodes() if node["Alive"]]
         if order.needs.gpus and not any(node.get("GPU") for node in nodes):
             limit = "no node of the cluster has a GPU."

@@ -40,8 +40,8 @@ class Plan:
         """Find the pictures and read the scene.
 
         Raises:
-            InputError: A picture or the scene does not exist, there are too many clips, or an axis
-                is a distribution although the number of samples is not set.
+            InputError: A picture or the scene does not exist, there are too many clips, or the
+                number of samples is not set and an axis is a distribution.
         """
         self.sweep = sweep
         # Wrenches are recorded, because the manifest contains the largest force on a wall.

@@ -184,7 +184,8 @@ def make_row(order: Order, source: Made, progress: Progress = silent) -> Row:
 
     Raises:
         OSError: The storage fails, for example because it is full.
-        Cancelled: `progress` raised it; on a local storage, the next run continues this clip.
+        Cancelled: The function `progress` cancelled the clip. On a local storage, the next run
+            continues the clip.
     """
     start()
     storage = Storage(order.out)
@@ -279,7 +280,7 @@ def _make_clip(order: Order, source: Made, storage: Storage, context: RunContext
 def _simulate(
     source: Made, scene: Scene, folder: Path | None, context: RunContext
 ) -> tuple[Clip, Recording]:
-    """Simulate a clip, or continue the killed run in its local folder, if there is one."""
+    """Simulate a clip. If the clip's local folder contains a killed run, continue this run."""
     assert source.gaussians is not None and source.crop is not None
     run, recording = take_up(folder, context)
     if run is None:

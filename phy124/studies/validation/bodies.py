@@ -182,7 +182,7 @@ def make_lattice_solver(
 
 UP = (0.0, 0.0, 1.0)
 FAR = 1e3
-"""Position of a plane [m] so far away that all grid nodes are in its wall."""
+"""Position of a plane [m]; the plane is so far away that all grid nodes are inside the wall."""
 
 
 def sheet(counts: Sequence[int], spacing: float, corner: Sequence[float] = (0, 0, 0)) -> Array:

@@ -1,1 +1,1 @@
-"""Compares the solver with known solutions, and a scene's motion on several grids."""
+"""Compares the solver with known solutions, and compares a scene's motions on several grids."""

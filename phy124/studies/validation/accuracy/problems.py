@@ -1,7 +1,7 @@
 """Defines problems with known solutions, and measures the solver's error.
 
-Bars and columns are one particle thick: nothing varies across them if nu = 0 or both sides are
-fixed.
+Bars and columns are one particle thick. This is sufficient, because nothing varies across a bar
+with nu = 0 or a column with fixed sides.
 """
 
 from __future__ import annotations
@@ -215,9 +215,9 @@ def column_pressure(depth: Array, density: float) -> Array:
 def hydrostatic_column(cells: int) -> dict[str, float]:
     """Return the errors of the pressure in a column at rest, relative to rho g h at the base.
 
-    `mean` is the error of the mean pressure; it arises in the cells at the floor, which lies
-    between two planes of nodes, and is proportional to dx. `inside` is the RMS error more than
-    three cells above the floor.
+    `mean` is the error of the mean pressure. This error is proportional to dx, and arises in the
+    cells at the floor; the floor lies between two planes of nodes. `inside` is the RMS error more
+    than three cells above the floor.
     """
     height, material = 1.0, Fluid()
     dx = height / cells

@@ -55,9 +55,13 @@ class Row:
     pixels: float | None = None
     """Estimated error in the video [pixels]."""
     torn: str = ""
-    """Why the grid may have torn the material; a torn setting has no error estimate."""
+    """Reason why the grid may have torn the material, or empty. With such a reason, the setting has
+    no error estimate.
+    """
     stated: dict[str, Any] | None = None
-    """The `error` that a run would report; None unless a thorough study ran a level."""
+    """The entry `error` in the report of a run; None unless the study is thorough and this is a
+    level.
+    """
 
     @property
     def level(self) -> bool:
@@ -71,7 +75,7 @@ class Report:
 
     rows: tuple[Row, ...]
     skipped: tuple[str, ...]
-    """Sentences about settings that were skipped or are torn."""
+    """Sentences about settings that were skipped, or with which the material may have torn."""
     convergence: Convergence
     object_size: float
     """Longest side of the object at rest [m]."""
@@ -114,8 +118,8 @@ def error_on(cells: int, errors: Mapping[int, float], order: float | None) -> fl
     """Return the error with `cells` cells across the object, from the errors of the levels.
 
     Between two levels, the error of the coarser level is assumed. Beyond the finest level, the
-    error decreases with the observed order (clamped to `TRUSTED`), or is assumed constant if there
-    is none. Below the coarsest level, the error is unknown.
+    error decreases with the observed order (clamped to `TRUSTED`). If no order was observed, the
+    error is assumed to be constant. Below the coarsest level, the error is unknown.
     """
     within = [level for level in errors if level <= cells]
     if not within:
@@ -129,7 +133,8 @@ def error_on(cells: int, errors: Mapping[int, float], order: float | None) -> fl
 def recommend(rows: tuple[Row, ...], convergence: Convergence, known: tuple[int, int]) -> str:
     """Return a sentence that recommends a grid spacing.
 
-    `known` contains two numbers of frames after the first: those with known errors, and all.
+    `known` contains the number of frames with known errors, and the number of all frames. The first
+    frame is not counted.
     """
     levels = [row for row in rows if row.level and not row.torn and row.cells >= COARSEST]
     no = "No setting can be recommended by its error"

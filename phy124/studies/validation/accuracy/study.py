@@ -57,7 +57,8 @@ class Study:
     levels: tuple[int, ...] = LEVELS
     crop: Crop = WHOLE
     thorough: bool = True
-    """Whether to vary other options, forecast each setting and compare videos: three times as long.
+    """Whether to vary other options, forecast each setting and compare videos as well. The study
+    then takes three times as long.
     """
     on_row: Callable[[Row], None] = lambda row: None
     """Function called with the row of each finished setting, before the errors are known."""
@@ -77,7 +78,7 @@ class Study:
 
         Raises:
             InputError: The scene cannot be run, or has too few particles per cell and axis.
-            Cancelled: The function `progress` raised it, and no finished setting is kept.
+            Cancelled: The function `progress` cancelled the study, and no finished setting is kept.
         """
         _require_particles(self.scene.resolution.particles_per_axis)
         rows, skipped = [], []
@@ -155,7 +156,9 @@ class Study:
         return scene.model_copy(update={"checks": checks})
 
     def _row(self, name: str, scene: Scene, progress: Progress) -> tuple[Row | None, str]:
-        """Return the row and a reason: the run stopped early (no row), or the object tore."""
+        """Run a setting; return its row, and a sentence about a problem. If the run stops early,
+        there is no row. If the object may have torn, there is a row and a sentence.
+        """
         context = replace(self.context.aside(), progress=progress)
         simulation = Simulation(prepare(self.gaussians, scene, context, crop=self.crop))
         self._proportions = self._proportions or simulation.setup.proportions
@@ -193,7 +196,7 @@ class Study:
         ), f"{name}: {torn}" if torn else ""
 
     def _forecast(self, simulation: Simulation) -> float:
-        """The energy loss is not split in the forecast, because a user's run does not split it."""
+        """Forecast the time of a user's run [s], in which the energy loss is not split by cause."""
         scene = simulation.scene
         if scene.checks.energy:
             checks = scene.checks.model_copy(update={"energy": False})

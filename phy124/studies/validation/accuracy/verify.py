@@ -53,7 +53,7 @@ def verify(*, fine: bool = True) -> Iterator[Verdict]:
 def free_fall(fine: bool) -> Iterator[Verdict]:
     """Check that a thrown body follows the exact parabola up to rounding.
 
-    This holds only if the first substep advances velocities by half a substep (leapfrog).
+    The check fails unless the first substep advances velocities by half a substep (leapfrog).
     """
     time = 0.4 if fine else 0.2
     for precision, limit in (("float64", 1e-12), ("float32", 5e-5)):
@@ -99,7 +99,7 @@ def hydrostatic_column(fine: bool) -> Iterator[Verdict]:
 
 
 def bouncing_ball(fine: bool) -> Iterator[Verdict]:
-    """Check that a bouncing ball converges with an order from 1 to 2, which contact reduces."""
+    """Check that a bouncing ball converges with an order from 1 to 2; contact reduces the order."""
     cells = (12, 18, 27) if fine else (8, 12, 16)
     runs = problems.bouncing_ball(cells)
     size = problems.Bounce().diameter

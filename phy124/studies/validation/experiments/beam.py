@@ -45,12 +45,14 @@ TOO_SOFT = (
 REST = 1.6
 """Duration of each load, in periods of the first bending mode."""
 PIECES = 40
-"""Mean number of times per period of the first mode at which velocities are reduced."""
+"""Velocities are reduced on average this many times in each period of the first mode."""
 GOLDEN = (math.sqrt(5) - 1) / 2
 """Inverse golden ratio; its multiples, modulo 1, never repeat."""
 
 Bending = Callable[[float, Keyframes, Region], Force]
-"""A function of the beam's width [m], the time profile and the region of the tip."""
+"""A function that returns a force for the beam's width [m], a time profile and the region of the
+tip.
+"""
 TIP_LOADS = (0.2, 0.5, 1.0, 2.0, 3.0, 5.0, 10.0)
 """Dimensionless weights at the tip, P L^2 / E I."""
 OWN_LOADS = (2.0, 8.0, 20.0)
@@ -108,11 +110,12 @@ def make_band(
 ) -> tuple[Quantity, ...]:
     """Return the published tip deflection and its band for each load.
 
-    The band extends from the deflection without shear to that with twice the beam's shear.
+    The lower end of the band is the deflection without shear. The upper end adds the effect of the
+    tension, and twice the effect of the beam's shear.
 
     Args:
         loads: Dimensionless loads.
-        exact: A slender beam's tip deflection / length for a load.
+        exact: Function that returns a slender beam's tip deflection / length for a load.
         name: Symbol of the load.
         stretch: Mean tension that stretches the hanging beam, as a fraction of the load.
     """
@@ -184,7 +187,8 @@ def measure_lattice_drops(
         loads: Factors of the force, in ascending order.
         bending: Makes the force.
         stiffer: Factor on E, for the control.
-        beyond: Extra length [cells], so that a load acts on a cell around the end.
+        beyond: Length of the solid beyond the beam's end [cells], so that a load acts on a cell
+            around the end.
     """
     dx = THICKNESS / cells
     root, clamped = beyond * dx, 3

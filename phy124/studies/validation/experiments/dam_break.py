@@ -15,17 +15,18 @@ from phy124.studies.validation.experiments.liquids import fill, solver_of
 
 Line = Sequence[float] | NDArray[np.float64]
 INVISCID = ((1.2, 1.75), (1.6, 2.18), (2.0, 2.68), (2.5, 3.37), (3.0, 4.12))
-"""Times `t sqrt(2 g / a)` and positions of an inviscid front / column width `a`, without a gate.
+"""Times `t sqrt(2 g / a)`, and positions of the front of an inviscid liquid divided by the column
+width `a`; there is no gate.
 
-From a separate two-dimensional solver (APIC, pressure projection with a ghost-fluid surface, 128
-cells across a). With 64 cells, the positions are at most 0.01 smaller.
+The values are from a separate two-dimensional solver (APIC, pressure projection with a ghost-fluid
+surface, 128 cells across a). With 64 cells, the positions are at most 0.01 smaller.
 """
 HEIGHTS = (1.28, 2.0, 2.7)
 """Dimensionless times t sqrt(g / a) of the heights at the wall."""
 PASSAGE = (1.5, 3.5)
 """Positions of the front, in units of `a`, between which its mean speed is measured.
 
-This speed does not depend on a delay of the start.
+If the start is delayed, this speed does not change.
 """
 PERIOD = (1.2, 3.0)
 """Dimensionless times t sqrt(2 g / a) between which the front's mean speed is measured."""
@@ -39,7 +40,8 @@ FRONTS = (
 )
 """Times, and positions of the front in units of `a`, for columns of the height 2 a.
 
-Columns of 2.25 and 1.125 inch (digitised by PySPH), and table 2 (as published with Ocellaris).
+The first two entries are for columns of 2.25 and 1.125 inch, digitised by PySPH. The third entry is
+table 2, as published with Ocellaris.
 """
 HEIGHT_TABLE = (
     (0.56, 0.77, 0.93, 1.08, 1.28, 1.46, 1.66, 1.84, 2.00, 2.21, 2.45, 2.70, 3.06, 3.44),

@@ -57,8 +57,8 @@ class Law:
 def fit_law(nu: float, *, whole: bool) -> Law:
     """Fit a contact-force law to finite-element results for a neo-Hookean ball.
 
-    With `whole`, the ball lies on one plate, and its inertia presses it against the plate.
-    Otherwise, the ball is between two plates.
+    With `whole`, the ball lies on one plate, and the ball's inertia presses the ball against the
+    plate. Otherwise, the ball is between two plates.
     """
     s = np.sqrt(DEPTHS)
     hertz = [Law(nu).force(depth) for depth in DEPTHS]
@@ -162,8 +162,8 @@ def plate_forces(depths: Sequence[float], nu: float, *, whole: bool, fine: int =
     """Return for each depth the force on the plate, divided by `E R^2`.
 
     Args:
-        depths: Ascending displacements of the plate towards the ball's centre of mass or symmetry
-            plane, relative to the radius.
+        depths: Displacements of the plate in ascending order, relative to the radius. The plate
+            moves towards the centre of mass of a whole ball, or else towards the symmetry plane.
         nu: Poisson's ratio.
         whole: True for a whole ball on one plate, False for a ball between two plates.
         fine: Number of elements along the radius.

@@ -149,7 +149,9 @@ class Outcome:
 
     @property
     def good(self) -> bool:
-        """Whether all runs worked, the mistake is detected, and missed bands have a reason."""
+        """Whether all runs worked, the mistake in the control run is detected, and there is a known
+        reason for values outside their bands.
+        """
         explained = not self.missed or bool(self.experiment.reason)
         return not self.failures and self.control_holds and explained
 

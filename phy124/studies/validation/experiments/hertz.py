@@ -17,7 +17,9 @@ RADIUS, E, NU = 0.5, 1e5, 0.3
 DEPTHS = (0.03, 0.05)
 """Indentation by each plate [m]."""
 PLACES = (0.0, 0.5)
-"""Final positions of the plate relative to a grid node [cells]; the forces are averaged."""
+"""Final positions of the plate relative to a grid node [cells]. The forces at these positions are
+averaged.
+"""
 MOVE, HOLD = 0.4, 0.4
 """Durations for which the plate moves and then rests [s]."""
 
@@ -36,7 +38,7 @@ def press(
     per_axis: int = 2,
     phase: float = 0.5,
 ) -> float:
-    """Return the mean force of a plate on the ball [N], from an eighth of the ball.
+    """Return the mean force of a plate on the ball [N]. An eighth of the ball is simulated.
 
     Args:
         cells: Cells across the radius.
@@ -74,7 +76,8 @@ def publish() -> tuple[Quantity, ...]:
 def turning_time(of: Law) -> float:
     """Return the contact time of a bouncing ball for a force law, relative to Hertz's law.
 
-    The contact time lasts from half the initial speed downwards to half the initial speed upwards.
+    The contact time begins when the ball moves downwards at half its initial speed, and ends when
+    the ball moves upwards at half its initial speed.
     """
     depth = restitution.SHALLOW
     turning = [restitution.solve_theory(0.0, depth, law).turning for law in (of, Law(0.0))]

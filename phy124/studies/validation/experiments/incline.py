@@ -59,7 +59,7 @@ def slide(cells: int, slope: float, friction: float, *, across: bool) -> float:
 
 
 def measure(cells: int, more: float) -> Values:
-    """Measure all accelerations with a coefficient of friction that is `more` too large."""
+    """Measure all accelerations with a coefficient of friction that is too large by `more`."""
     return tuple(
         slide(cells, slope, mu + more, across=across)
         for across in (False, True)

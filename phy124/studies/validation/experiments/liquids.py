@@ -63,7 +63,7 @@ def frequency() -> float:
 
 
 def slosh(cells: int, depth: float) -> Values:
-    """Excite the first mode of water of a depth [m] in a tank 1 m long.
+    """Excite the first mode of water in a tank 1 m long; `depth` is the depth of the water [m].
 
     Return the frequency [Hz], and the final height of the centre of mass / depth.
     """

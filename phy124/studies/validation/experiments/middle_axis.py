@@ -80,7 +80,9 @@ def observe(solver: Solver | LatticeSolver) -> Values:
 
 
 def _spin(solver: Solver | LatticeSolver) -> tuple[float, float]:
-    """Return the spin about the middle axis [rad/s], and the doubled energy of unit masses."""
+    """Return the spin about the middle axis [rad/s], and twice the kinetic energy for particles of
+    mass 1.
+    """
     x, v = host(solver.state.x), host(solver.state.v)
     x, v, rest = x - x.mean(axis=0), v - v.mean(axis=0), solver.model.rest
     u, _, vt = np.linalg.svd(x.T @ rest)

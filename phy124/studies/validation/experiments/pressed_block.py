@@ -59,12 +59,12 @@ def press(cells: int, moving: int, fixed: int, nu: float) -> tuple[float, float]
     Args:
         cells: Cells across half the block.
         moving: Number of axes with moving plates, in the order z, y, x.
-        fixed: Number of axes with fixed plates, which follow in this order.
+        fixed: Number of axes with fixed plates, which are the next axes in this order.
         nu: Poisson's ratio.
 
     Returns:
-        The axial stress divided by the axial strain [Pa], and minus the lateral strain divided by
-        the axial strain.
+        The axial stress divided by the axial strain [Pa], and the negative ratio of the lateral
+            strain to the axial strain.
     """
     half, dx = SIZE / 2, SIZE / 2 / cells
     x = lattice((2 * cells,) * 3, dx / 2)

@@ -33,8 +33,8 @@ law F + loss dF/dt is exact for a quasi-static contact.
 SHALLOW, DEEP = 0.06, 0.12
 """Maximum depths by Hertz's law, relative to the radius.
 
-Hertz's law requires a shallow contact, which gives the contact time. The energy loss is measured in
-a deep contact, whose area covers more cells.
+The contact time is measured in a shallow contact, because Hertz's law requires a shallow contact.
+The energy loss is measured in a deep contact, because the area of a deep contact covers more cells.
 """
 SAMPLES = 300
 FLIGHT = 2.2

@@ -25,7 +25,9 @@ WIDTH = 0.1
 SLOPE = 31.0
 """Angle of friction in the channel, in plane strain [degrees]."""
 STIFF = 300.0
-"""Young's modulus divided by the pressure at the base, which is compressed by about 0.3 %."""
+"""Young's modulus divided by the pressure at the base. The pressure compresses the sand at the base
+by about 0.3 %.
+"""
 DURATION = 6.0
 """Duration of a run, in units of sqrt(H / g); the collapse takes about 3 units."""
 

@@ -65,7 +65,9 @@ __all__ = ["CASES", "Case", "Check", "Row", "Setting", "examine", "find_cases", 
 
 
 def settings(device: str | None = None, *, long: bool = False) -> list[Setting]:
-    """Return a setting for each precision on a device; None: on the CPU and on each GPU."""
+    """Return a setting for each precision on a device. If `device` is None, return settings for the
+    CPU and for each GPU.
+    """
     devices = [device] if device else ["cpu", *map(str, wp.get_cuda_devices())]
     return [Setting(d, p, long) for d in devices for p in ("float32", "float64")]
 

@@ -105,7 +105,9 @@ def _run(scene: Scene, setting: Setting) -> Simulation:
 
 
 def _make_exploding(setting: Setting) -> Scene:
-    """Return an unstable scene: substeps of the particle solver are proportional to `cfl`."""
+    """Return a scene with substeps that are too long, so that the run is unstable. Substeps of the
+    particle solver are proportional to `cfl`.
+    """
     scene = Scene.from_data({**SMALL, "object": {"spin": [0.0, 0.0, 3.0]}, "forces": []})
     update = {"cfl": TOO_LONG, "precision": setting.precision, "solver": "mpm"}
     wrong = scene.resolution.model_copy(update=update)
@@ -113,7 +115,9 @@ def _make_exploding(setting: Setting) -> Scene:
 
 
 def _make_violent(setting: Setting) -> Scene:
-    """Return a scene whose speed limits the substep; the estimate considers only the stiffness."""
+    """Return a scene in which the object's speed limits the substep. The estimate of the run time
+    considers only the stiffness.
+    """
     accuracy = {**SMALL["accuracy"], "precision": setting.precision}
     scene = {
         "accuracy": accuracy,

@@ -64,7 +64,7 @@ def units(setting: Setting) -> list[Check]:
 def free_fall(setting: Setting) -> list[Check]:
     """Check that a falling body follows the exact parabola, up to rounding.
 
-    This holds only if the first substep advances velocities by half a substep (leapfrog).
+    The check fails unless the first substep advances velocities by half a substep (leapfrog).
     """
     x = block()
     s = body(x, setting, forces=[Gravity()])
@@ -137,7 +137,8 @@ def slow_drift(setting: Setting) -> list[Check]:
 FLAT = (0.01, 0.01, 1e-4)
 """Scales of a flat Gaussian [m]."""
 APART = 0.05
-"""Smallest relative difference between two lengths at which the axes have defined directions."""
+"""If the relative difference of two lengths is smaller, the directions of the axes are undefined.
+"""
 
 
 def _whirl(setting: Setting, scales: tuple[float, float, float]) -> tuple[Solver, Gaussians]:

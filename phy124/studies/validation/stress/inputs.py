@@ -91,7 +91,7 @@ def below_zero(setting: Setting) -> list[Check]:
 
 
 def sizes(setting: Setting) -> list[Check]:
-    """Check that Gaussians from 1 nm to 1 km keep their scales without deformation."""
+    """Check that undeformed Gaussians from 1 nm to 1 km keep their scales."""
     rng = np.random.default_rng(0)
     shapes = np.array([[1, 1, 1], [1, 1e-4, 1e-4], [1, 1, 1e-2], [1, 0.3, 1e-3]])
     error, minimum, finite = 0.0, math.inf, True

@@ -99,7 +99,8 @@ HEAP = 0.4
 def heap(setting: Setting) -> list[Check]:
     """Check that heaps of sand come to rest with the angle of repose.
 
-    The initial cones are five degrees steeper. With 20 degrees, inertia makes heaps too flat.
+    The initial cones are five degrees steeper than this angle. If a cone is 20 degrees steeper,
+    inertia makes the heap too flat.
     """
     checks, cells = [], 20 if setting.long else 12
     # On finer grids, heaps of 20 degrees still creep after 1 s, by 0.0037 R in 0.2 s.
@@ -176,7 +177,7 @@ def friction_angle(setting: Setting) -> list[Check]:
 
 
 def series_strain(setting: Setting) -> list[Check]:
-    """Check the Hencky stress without an SVD, for principal strains of at most 20 %."""
+    """Check the Hencky stress for principal strains of at most 20 %; it is computed without an SVD."""
     rng = np.random.default_rng(0)
     material, n = Hencky(E=1.0, nu=0.2), 2000
     U, V = (np.linalg.qr(rng.normal(size=(n, 3, 3)))[0] for _ in range(2))
@@ -223,7 +224,7 @@ def _reset_particle(
     """Simulate one frame of a body in which one particle has the deformation gradient F.
 
     Return the smallest J, the largest displacement divided by the body's size, and whether the
-    watchdog accepts the finite state.
+    state is finite and the watchdog accepts the state.
     """
     x = block(4, 0.25)
     external = ExternalWork()

@@ -118,7 +118,9 @@ def stiff(setting: Setting) -> list[Check]:
 
 
 def poisson(setting: Setting) -> list[Check]:
-    """Check that nearly incompressible bodies are stable, and invalid Poisson's ratios refused."""
+    """Check that nearly incompressible bodies are stable, and that invalid Poisson's ratios are
+    refused.
+    """
     checks = []
     for nu in (0.0, 0.3, 0.49, 0.4999):
         x = block(4, 0.25)

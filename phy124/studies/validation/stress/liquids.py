@@ -141,8 +141,8 @@ class Balance(MeanWork):
     """Compares a liquid's energy and momentum with the work and impulse of forces and walls."""
 
     energy = momentum = 0.0
-    """Largest unexplained energy, relative to the work that lifts the liquid by half a metre;
-    largest unexplained momentum, relative to all impulses.
+    """Largest unexplained energy, relative to the work that lifts the liquid by half a metre. The
+    largest unexplained momentum is relative to all impulses.
     """
 
     def follow(self, solver: LiquidSolver) -> None:
