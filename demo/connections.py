@@ -28,7 +28,7 @@ AT_ONCE = 2048
 
 
 def allow_connections() -> int:
-    """Raise the limit on open files; return half of it, the largest number of connections."""
+    """Raise the limit on open files. Return half of this limit, for the number of connections."""
     if resource is None:
         return UNLIMITED // 2
     now, most = resource.getrlimit(resource.RLIMIT_NOFILE)
@@ -127,6 +127,6 @@ class Patient(H11Protocol):
 
 
 def _due(connection: Patient) -> float:
-    """Return the time at which a connection is closed; infinite while its request is processed."""
+    """Return the time at which a connection is closed; infinite while it has a request in progress."""
     clocks = (connection.clock, connection.stalled, connection.timeout_keep_alive_task)
     return min((clock.when() for clock in clocks if clock), default=math.inf)

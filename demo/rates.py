@@ -60,7 +60,9 @@ class Learned:
             self._seen = {name: deque([value] * 2, WINDOW) for name, value in costs.items()}
 
     def assume(self, rates: Rates, work: Work) -> None:
-        """Use these costs in a process that cannot measure costs; finished runs correct them."""
+        """Use these costs in a process that cannot measure costs; finished runs correct these
+        costs.
+        """
         with self._lock:
             self.now = self.measured = rates
             self._first = work

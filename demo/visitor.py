@@ -71,8 +71,8 @@ class Visitor:
     def remember(self, job: Job) -> None:
         """Store a job, and remove finished jobs if there are more than `JOBS` of its kind.
 
-        Jobs without a result are removed first, then the oldest, so that cancelled runs cost no
-        result.
+        Jobs without a result are removed first, then the oldest jobs. Cancelled runs therefore do
+        not displace results.
         """
         self.jobs[job.name] = job
         alike = [each for each in self.jobs.values() if each.kind == job.kind]

@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 AWAY = 150.0
 """Time without requests after which a page counts as closed [s]; pages send one every minute."""
 UNUSED = 16
-"""Largest number of idle visitors per address; those idle longest are removed."""
+"""Largest number of idle visitors per address; visitors that have been idle longest are removed."""
 UNFINISHED = 3
 FULL = "Too many visitors use this server at the moment."
 OF_ADDRESS = "Too many visitors from your address are here at once."

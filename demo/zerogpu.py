@@ -1,9 +1,9 @@
-"""Run jobs on ZeroGPU, the shared GPUs of Hugging Face Spaces, reserved for the predicted time.
+"""Run jobs on ZeroGPU, the shared GPUs of Hugging Face Spaces.
 
 ZeroGPU refuses a job whose declared duration exceeds the visitor's remaining quota (about 120 s a
 day for anonymous visitors), and ends a job that takes longer than declared. Each job therefore
-declares its predicted time, which is also its limit. Source: huggingface.co/docs/hub/spaces-zerogpu
-and the package `spaces` 0.51.
+declares a time that is based on its predicted time; the declared time is also the limit of the job.
+Source: huggingface.co/docs/hub/spaces-zerogpu and the package `spaces` 0.51.
 """
 
 from __future__ import annotations

@@ -97,8 +97,8 @@ def share_heap() -> None:
     """Make all threads use one heap, so that repeated runs do not need more and more memory.
 
     By default glibc opens up to eight heaps per core, and rarely returns their memory. Call this
-    function before the first thread starts, because existing heaps stay. MALLOC_ARENA_MAX takes
-    precedence if it is set.
+    function before the first thread starts, because heaps that already exist are kept.
+    MALLOC_ARENA_MAX takes precedence if it is set.
     """
     if HEAPS not in os.environ and hasattr(os, "confstr"):
         with suppress(ValueError, OSError):

@@ -59,11 +59,11 @@ def as_done(
         pool: The processes; if None, the tasks run one after another in this process.
         work: The function to run; it must be picklable if there is a pool.
         tasks: The arguments of the calls, in order.
-        beat: Function that is called at least every `BEAT` seconds, or before each task if there is
-            no pool; it may raise Cancelled.
+        beat: Function that is called at least every `BEAT` seconds; without a pool, it is called
+            before each task. The function may raise Cancelled.
 
     Raises:
-        OSError: A worker process was killed or ended before its task.
+        OSError: A worker process was killed, or it ended before its task was finished.
         RuntimeError: A worker process crashed in native code.
     """
     if pool is None:

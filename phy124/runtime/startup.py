@@ -55,7 +55,7 @@ def kernel_folder() -> Path | None:
 
 
 def temporary_folder() -> Path:
-    """Return a folder for all runs of this user, to which no other user may write."""
+    """Return a folder for all runs of this user; no other user may write to this folder."""
     user = os.getuid() if hasattr(os, "getuid") else "user"
     folder = Path(tempfile.gettempdir()) / f"phy124-kernels-{user}"
     try:

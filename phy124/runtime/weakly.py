@@ -1,4 +1,4 @@
-"""Lets an object call a method of the object that owns it, without keeping the owner in memory."""
+"""Lets an object call a method of its owner, but does not keep the owner in memory."""
 
 from collections.abc import Callable
 from typing import Any

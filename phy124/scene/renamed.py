@@ -6,9 +6,9 @@ from typing import Any
 from phy124.errors import InputError
 
 KEYS = {"ppc": "particles_per_axis", "patience": "budget", "share": "fraction"}
-"""Present names of the keys of version 0.1."""
+"""Present names of keys, by their names in version 0.1."""
 VALUES = {("binding", "field"): "lattice", ("kind", "field"): "zone"}
-"""Present values of version 0.1, by key and value."""
+"""Present values, by the key and the value in version 0.1."""
 STAGES = {True: "transparent", False: "plain"}
 """Values of `stage` for the key `transparent` of version 0.2."""
 

@@ -50,7 +50,7 @@ class Appearance(NamedTuple):
         }
 
     def shine(self, materials: Sequence[AnyMaterial]) -> dict[str, list[list[int]]]:
-        """Return the index ranges of the Gaussians of each glossy law."""
+        """For each glossy law, return the index ranges of its Gaussians."""
         laws = sorted({section.law for section in materials if section.shines})
         return {law: self._spans(self._has_law(law, materials)) for law in laws}
 
@@ -72,8 +72,8 @@ class Appearance(NamedTuple):
         return list(liquids.values())
 
     def matte(self, materials: Sequence[AnyMaterial]) -> list[dict[str, Any]]:
-        """Return the index ranges (spans) of the Gaussians of each material that a lamp lights, and
-        the volume of a Gaussian in each range [m^3].
+        """For each material that a lamp lights, return the index ranges (spans) of its Gaussians,
+        and the volume of a Gaussian in each range [m^3].
 
         Without grains, a material is hollow and is not lit.
         """
@@ -84,16 +84,14 @@ class Appearance(NamedTuple):
         return [{"runs": runs, "volumes": volumes} for runs, volumes in lit]
 
     def dents(self, materials: Sequence[AnyMaterial]) -> list[list[list[int]]]:
-        """Return the index ranges of the Gaussians of each solid that keeps dents and has
-        no gloss.
+        """For each solid that keeps dents and has no gloss, return the index ranges of its
+        Gaussians.
         """
         solids = [k for k, section in enumerate(materials) if section.dents and not section.shines]
         return self._spans_of(solids)
 
     def fragments(self, materials: Sequence[AnyMaterial]) -> list[list[list[int]]]:
-        """Return the index ranges of the Gaussians of each material that crumbles and has
-        grains.
-        """
+        """For each material with grains that crumbles, return the index ranges of its Gaussians."""
         filled = set(self.kinds[~self.rounds].tolist())
         return self._spans_of(
             [k for k, section in enumerate(materials) if section.crumbles and k in filled]

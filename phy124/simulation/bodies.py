@@ -42,7 +42,7 @@ from phy124.simulation.placing import mask_object, number_among_all, place, renu
 GRAINY = 24_000
 """Approximate number of Gaussians of a shape whose grains differ in brightness."""
 FEWEST = 8
-"""Smallest number of cells along an object without a note about a coarse grid."""
+"""A further object with fewer cells along its longest side causes a note about a coarse grid."""
 PER_GAUSSIAN = ("max_stretch", "rounds", "flows", "holds", "kinds")
 
 

@@ -186,8 +186,8 @@ def refuse_objects(objects: Sequence[Particles], scene: Scene) -> None:
 
 
 def _measure_inside(particles: Particles, other: Particles) -> float:
-    """Return the fraction of the material that is inside another object's surface; 0 if the other
-    object is not on a lattice.
+    """Return the fraction of the material that is inside another object's surface. If the other
+    object is not on a lattice, return 0.
     """
     if other.surface is None or not len(other.surface):
         return 0.0

@@ -27,7 +27,7 @@ def read_tensors(path: str | os.PathLike[str]) -> dict[str, Tensor]:
     """Read all tensors of a .safetensors, .pth, .pt, .ckpt or .bin file to the CPU.
 
     Raises:
-        InputError: If the file is missing or cut short, or does not contain tensors.
+        InputError: The file is missing, is cut short, or does not contain tensors.
     """
     path = Path(path)
     if hindrance := obstacle(path):
@@ -86,7 +86,7 @@ def fill(module: nn.Module, tensors: StateDict, name: str) -> None:
     """Load tensors into a network, which may be on the meta device; names and shapes must be equal.
 
     Raises:
-        InputError: If tensors are missing, unknown or of a wrong shape.
+        InputError: Some tensors are missing or unknown, or have a wrong shape.
     """
     wanted = {k: tuple(v.shape) for k, v in module.state_dict().items()}
     shapes_in_file = {k: tuple(v.shape) for k, v in tensors.items()}

@@ -65,7 +65,7 @@ class OnnxNetwork:
         """Return the outputs for arrays in the order of `inputs`.
 
         Raises:
-            InputError: If the shapes of the arrays do not fit the network.
+            InputError: The shapes of the arrays do not fit the network.
         """
         feeds: Mapping[str, NDArray[Any]] = dict(zip(self.inputs, arrays, strict=True))
         try:

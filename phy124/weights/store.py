@@ -89,7 +89,7 @@ def list_files(name: str) -> tuple[WeightFile, ...]:
     """Return the files of a set of weights.
 
     Raises:
-        InputError: If there is no set of weights with this name.
+        InputError: There is no set of weights with this name.
     """
     if name not in KNOWN:
         raise InputError(
@@ -105,7 +105,7 @@ def require(name: str, folder: str | os.PathLike[str] | None = None) -> dict[str
     """Return the path of each file of a set, by the name of the file in its repository.
 
     Raises:
-        InputError: If a file is missing, or its size differs from the published size.
+        InputError: A file is missing, or its size differs from the published size.
     """
     paths = {}
     for file in list_files(name):
@@ -202,7 +202,7 @@ def fetch(
         endpoint: Address of the server, if the server is not huggingface.co.
 
     Raises:
-        InputError: If the name is unknown, huggingface_hub is not installed, the folder is not
+        InputError: The name is unknown, huggingface_hub is not installed, the folder is not
             writable, the server cannot be reached, or a file differs from the published file. A
             file that differs is deleted.
     """

@@ -24,7 +24,9 @@ the effect of the step. For example, with a step of 0.01, derivatives of a press
 with respect to nu were up to nine times too large.
 """
 END = 0.005
-"""A value causes a warning if its distance from an end is below this part of its range."""
+"""A fitted value causes a warning if it is closer to an end of its range than this fraction of the
+range.
+"""
 
 
 @dataclass(frozen=True)

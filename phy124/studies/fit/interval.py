@@ -5,8 +5,8 @@ matrix J^T J with eigenvalue l, the standard error is 1 / sqrt(l). The half-widt
 the error from a bootstrap over groups of measurements plus the effect of the grid's error.
 
 Each bootstrap draw selects G of the G groups with replacement, and makes one Gauss-Newton step from
-the fitted point, which needs no simulation. Groups are drawn as a whole, because a badly tracked
-point shifts all its measurements.
+the fitted point. This step needs no simulation. Groups are drawn as a whole, because a badly
+tracked point shifts all its measurements.
 """
 
 import re
@@ -143,7 +143,9 @@ without known forces, the singular value of E and density is 0.04 to 0.08 (with 
 and that of E and nu is 0.93.
 """
 SHARE = 0.3
-"""A value is undetermined if it has at least this component in the least determined direction."""
+"""A value is undetermined if its component in the least determined direction is at least this
+large.
+"""
 VAGUE = 1 / 3
 """Smallest half-width of an undetermined value's 95 % interval, as a fraction of the range."""
 MODULI = ("E", "mu", "lambda", "bulk", "yield_stress", "hardening")

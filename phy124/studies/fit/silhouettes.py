@@ -98,7 +98,7 @@ SETTLED = 0.01
 """The alignment ends at a step shorter than this [pixels]."""
 ROUNDS = 20
 LEAST = 0.6
-"""Smallest intersection over union of aligned silhouettes that show the same object and view."""
+"""Aligned silhouettes whose intersection over union is smaller show another object or view."""
 
 
 class Laid(NamedTuple):

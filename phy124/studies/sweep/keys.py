@@ -22,7 +22,7 @@ from phy124.studies.sweep.storage import fetch, stamp
 from phy124.weights.store import KNOWN, find
 
 DIGITS = 24
-"""Hexadecimal digits of a key; the probability of equal keys among 1e9 clips is 6e-12."""
+"""Number of hexadecimal digits of a key. The probability of equal keys among 1e9 clips is 6e-12."""
 CUT_OUT = ("u2net", "u2netp")
 """Weights that may segment the object in a picture."""
 

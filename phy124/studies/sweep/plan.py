@@ -68,7 +68,7 @@ class Plan:
 
     @property
     def sources(self) -> int:
-        """Maximum number of different sources: picture, generator and seed."""
+        """Maximum number of different sources; a source is a picture, a generator and a seed."""
         shared = ("picture", "generator", "seed")
         axes = [self.axes[name] for name in shared if name in self.axes]
         counts = [axis.count if isinstance(axis, Counted) else len(self) for axis in axes]
@@ -110,7 +110,7 @@ class Plan:
 
     @cached_property
     def _shift(self) -> NDArray[np.float64]:
-        """A random shift, added to all samples modulo 1; they remain evenly distributed."""
+        """A random shift, added to all samples modulo 1; the samples remain evenly distributed."""
         return np.random.default_rng(self.sweep.seed).random(len(self.axes))
 
     def _point(self, index: int) -> NDArray[np.float64]:

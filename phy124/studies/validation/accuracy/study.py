@@ -33,7 +33,7 @@ from phy124.simulation import Simulation, Stopped, prepare
 from phy124.studies.validation.accuracy.report import Report, Row, kept_promises, recommend
 
 LEVELS = (16, 24, 32, 48)
-"""Cells across the object in each level; all presets are among them."""
+"""Cells across the object in each level; the levels include the grids of all presets."""
 MIN_PARTICLES_PER_AXIS = 1.5
 """Smallest number of particles per cell and axis with which finer grids are more accurate."""
 VARIED = 24

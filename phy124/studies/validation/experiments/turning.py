@@ -77,7 +77,7 @@ def roll(cells: int, gravity: float) -> float:
 
 
 def swing(cells: int, gravity: float) -> float:
-    """Measure the period of a plate that hangs from a hinge [s]; it is `cells` cells long."""
+    """Measure the period of a plate that hangs from a hinge [s]; its length is `cells` cells."""
     dx, edges = PLATE[0] / cells, np.array(PLATE)
 
     def distance(x: NDArray) -> NDArray[np.float64]:

@@ -177,7 +177,7 @@ def friction_angle(setting: Setting) -> list[Check]:
 
 
 def series_strain(setting: Setting) -> list[Check]:
-    """Check the Hencky stress for principal strains of at most 20 %; it is computed without an SVD."""
+    """Check the Hencky stress, computed without an SVD, for principal strains of at most 20 %."""
     rng = np.random.default_rng(0)
     material, n = Hencky(E=1.0, nu=0.2), 2000
     U, V = (np.linalg.qr(rng.normal(size=(n, 3, 3)))[0] for _ in range(2))

@@ -47,7 +47,7 @@ def edge(x: Array) -> NDArray[np.bool_]:
 
 
 def table(x: Array) -> NDArray[np.bool_]:
-    """Return whether points are in a table; each leg is as thick as 6 % of its size."""
+    """Return whether points are in a table; each leg is as thick as 6 % of the table's size."""
     across = np.abs(x[:, :2])
     leg = (np.abs(across - 0.33).max(axis=1) < 0.03) & (x[:, 2] < 0.6)
     return leg | ((across.max(axis=1) < 0.4) & (np.abs(x[:, 2] - 0.57) < 0.07))
