@@ -13,7 +13,9 @@ from contextlib import contextmanager
 
 STOPPED = "bridge: stopped\n"
 ALWAYS = ("SIGINT",)
-"""Signals that end a node even if its parent made it ignore them; `ros2 launch` sends SIGINT."""
+"""Signals that end a node even if the parent process set them to be ignored; `ros2 launch` sends
+SIGINT.
+"""
 
 
 # Only light modules are imported above, because Ctrl-C shows a traceback until `importing` runs.

@@ -70,7 +70,8 @@ def mcap_file(bag: Path) -> Path:
 
 
 def recorded_files(path: Path) -> list[Path]:
-    """Return the .mcap files of a recording in order. Some of them may be missing on the disk.
+    """Return the .mcap files of a recording in order. Some of these files may be missing on the
+    disk.
 
     A bag that was renamed keeps the names of its files, and a split bag has several files.
 

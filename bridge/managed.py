@@ -41,7 +41,7 @@ def main(args: list[str] | None = None) -> None:
 
 
 class Work:
-    """The work of a managed node: callbacks change the state, and `run` acts on it."""
+    """The work of a managed node: callbacks change the state, and `run` acts on the state."""
 
     def __init__(self, node: Any) -> None:
         """Declare the parameters of a node; raise InputError if a value is invalid."""

@@ -70,7 +70,7 @@ class LiveOptions:
 
 
 class LiveRun:
-    """A simulation that does not store its frames, which might not fit into the memory."""
+    """A simulation that does not store its frames, because they might not fit into the memory."""
 
     def __init__(self, source: Path, options: LiveOptions, *, progress: Progress = silent) -> None:
         """Check the source and the scene.
@@ -157,7 +157,8 @@ class FileWatch:
         self._before = self._state()
 
     def check(self) -> None:
-        """Check that the file has not changed, unless it was replaced by another file.
+        """Check that the file has not changed. A file that was replaced by another file is
+        accepted.
 
         Raises:
             InputError: Another program wrote into the file.

@@ -140,6 +140,6 @@ class Controls:
     """Function that receives the error message if an input is refused."""
     clock: bool = False
     patient: bool = True
-    """Whether frames wait for slow subscribers, which also delays the computation of frames."""
+    """Whether frames wait for slow subscribers; the wait also delays the computation of frames."""
     values: Callable[[], Mapping[str, Any]] = dict
     """Function that returns additional values for the diagnostics."""

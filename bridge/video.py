@@ -1,7 +1,7 @@
 """H.264 video as Foxglove expects it: Annex B, one access unit per picture, no B frames.
 
-ffmpeg encodes without look-ahead. The chunks of its AVI stream state their length, so the reader
-knows when a picture is complete, before the next picture is sent.
+ffmpeg encodes without look-ahead. The chunks of ffmpeg's AVI stream state their length. The reader
+therefore knows that a picture is complete before the next picture is sent.
 """
 
 from __future__ import annotations

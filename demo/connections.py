@@ -24,7 +24,7 @@ FILES, UNLIMITED = 16_384, 512
 """Limit on open files that the page requests, and assumed limit if the system does not state any.
 """
 AT_ONCE = 2048
-"""Largest number of connections that are accepted at once (uvicorn's default)."""
+"""Largest number of connections that are accepted in one batch (uvicorn's default)."""
 
 
 def allow_connections() -> int:
@@ -127,6 +127,6 @@ class Patient(H11Protocol):
 
 
 def _due(connection: Patient) -> float:
-    """Return the time at which a connection is closed; infinite while it has a request in progress."""
+    """Return the time at which a connection is closed; infinite while a request is processed."""
     clocks = (connection.clock, connection.stalled, connection.timeout_keep_alive_task)
     return min((clock.when() for clock in clocks if clock), default=math.inf)

@@ -48,7 +48,7 @@ NOTHING_YET = "run: There is no run in this session yet. Call /generate first."
 
 
 class MeasureRequest(BaseModel):
-    """Arguments of /measure, which are checked later, so that errors name the argument."""
+    """Arguments of /measure. They are checked later, so that errors name the argument."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 

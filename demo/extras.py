@@ -73,7 +73,7 @@ class ExtraInputs:
     """Pictures of the other views before the background is removed."""
     reading: Reading = NO_READING
     photographed: Photographed = NOT_PHOTOGRAPHED
-    """Whether to render the object in its photograph, which does not affect the Gaussians."""
+    """Whether to render the object in its photograph. This does not affect the Gaussians."""
     making: Making = NOT_CHOSEN
 
     def cut_views(self, deadline: Deadline) -> None:

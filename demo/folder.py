@@ -33,7 +33,7 @@ def lock_folder(wanted: str = "") -> Iterator[Path]:
     If `wanted` is empty, a new temporary folder is made.
 
     Raises:
-        InputError: Another page uses the folder, or it contains other files.
+        InputError: Another page uses the folder, or the folder contains other files.
     """
     if not wanted:
         _sweep(Path(tempfile.gettempdir()))

@@ -59,7 +59,7 @@ class Job:
         self.progress = Progress(expected=expected, names=stages)
         self.line: Line | None = None
         self.choice: Choice | None = None
-        """The visitor's choices for a run; a finer run uses them again."""
+        """The visitor's choices for a run; a finer run uses these choices again."""
         self._changed = threading.Condition()
 
     @property
@@ -124,7 +124,8 @@ class Line:
         self._waiting: deque[tuple[Job, Callable[[], None]]] = deque()
         self._running: set[Job] = set()
         self._slowdowns: deque[float] = deque(maxlen=RECENT)
-        """Durations of the latest jobs, divided by their predictions without other load."""
+        """Durations of the latest jobs, each divided by the duration predicted without other load.
+        """
         self._changed = threading.Condition()
         self._threads: list[threading.Thread] = []
 

@@ -173,7 +173,7 @@ def _draw_on(grey: float, clip: Clip, frames: list[Frame], camera: Camera, view:
 
 
 def _clear(on_black: NDArray, on_white: NDArray) -> Image.Image:
-    """Compute a transparent picture from its renderings on black and on white."""
+    """Compute a transparent picture from renderings on a black and on a white background."""
     dark, light = on_black.astype(np.float32), on_white.astype(np.float32)
     alpha = 255 - (light - dark).mean(axis=2, keepdims=True).clip(0, 255)
     colour = np.where(alpha > 0, dark * 255 / np.maximum(alpha, 1), 0).clip(0, 255)

@@ -75,7 +75,9 @@ PANELS = {
 
 
 def make_panel(name: str) -> gr.HTML:
-    """Create the panel `name` of the page. In the browser, the function `Phy124.name` draws it."""
+    """Create the panel `name` of the page. In the browser, the function `Phy124.name` draws the
+    panel.
+    """
     head, events = PANELS[name]
     # Gradio searches the text of the script for event names.
     names = " ".join(f"'{event}'" for event in events.split())

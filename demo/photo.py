@@ -1,4 +1,4 @@
-"""Gradio components for uploaded files, whose size is checked before they are decoded.
+"""Gradio components for uploaded files. The size of a file is checked before it is decoded.
 
 Gradio's own components would decode a picture before any check, download it from any URL, and
 accept data: URLs beyond `max_file_size`.
@@ -85,7 +85,7 @@ def _describe_as_file(component: Any, name: str) -> Any:
 
 
 def refusal(text: str) -> gr.Error:
-    """Create the error for a program; it is not logged, because the server did not fail."""
+    """Create the error for a program. The error is not logged, because the server did not fail."""
     return gr.Error(text, print_exception=False)
 
 

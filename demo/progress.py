@@ -25,7 +25,9 @@ class Progress:
     """Content of the progress panel."""
 
     state: str = "waiting"
-    """First waiting or running; at the end done, stopped, refused, full or failed."""
+    """State of the job: first waiting or running; at the end done, stopped, refused, full or
+    failed.
+    """
     message: str = ""
     expected: float = 0.0
     """Predicted duration of the job [s]."""
@@ -69,14 +71,14 @@ class Progress:
 
     @property
     def whole(self) -> bool:
-        """Whether the job is done, and the time limit has not shortened it."""
+        """Whether the job is done, and was not shortened by the time limit."""
         return self.state == "done" and not (self.course and self.course.ended)
 
     def duration(self, slowdowns: Sequence[float]) -> float:
         """Predict the duration of the job [s].
 
-        The `slowdowns` are durations of recent jobs, divided by their predictions without other
-        load.
+        The `slowdowns` are durations of recent jobs, each divided by the duration predicted without
+        other load.
         """
         if self.course and self.course.ended:
             return self.course.seconds

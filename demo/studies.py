@@ -22,7 +22,7 @@ class Level(BaseModel):
 
     cells: int
     seconds: float
-    """Time to simulate the motion and to compute the Gaussians of all frames from it [s]."""
+    """Time to simulate the motion and to compute the Gaussians of all frames [s]."""
     error: float | None
     """Error as a fraction of the object's size.
 

@@ -37,8 +37,8 @@ LAST: dict[str, Any] = {**QUIET, "trigger_mode": "always_last"}
 CHANGE = "(globalThis.Phy124 ??= {}).change"
 """JavaScript expression for the number of changes that the visitor has made to the scene.
 
-The number is undefined before the first change. Events that update the forecast send this number;
-the answers repeat it, so that old answers can be ignored.
+The number is undefined before the first change. Events that update the forecast send this number.
+The answers repeat the number, so that old answers can be ignored.
 """
 CHANGED = f"(...values) => [...values.slice(0, -1), {CHANGE} = ({CHANGE} ?? 0) + 1]"
 UNCHANGED = f"(...values) => [...values.slice(0, -1), {CHANGE} ?? 0]"

@@ -49,7 +49,7 @@ class FoxgloveSink:
             duration: Length of the clip [s], so that viewers show controls to play, pause and seek.
                 None for a running simulation.
             host: Address to listen on. By default, only this machine can connect.
-            port: Port to listen on. If it is 0, a free port is chosen.
+            port: Port to listen on. If the port is 0, a free port is chosen.
             controls: Inputs, topics and services in addition to frames; by default, those of a
                 player.
 

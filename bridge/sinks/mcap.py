@@ -30,7 +30,7 @@ Compression = Literal["none", "lz4", "zstd"]
 CHUNK = 1 << 20
 """Size of a chunk [bytes]; a larger frame is stored in a separate chunk."""
 OLDER = ".old"
-"""Suffix of an existing recording in a bag folder until the new recording is complete."""
+"""Suffix that an existing recording in a bag folder has until the new recording is complete."""
 log = logging.getLogger(__name__)
 
 

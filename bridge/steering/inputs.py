@@ -40,7 +40,9 @@ def centre_frame(options: Options) -> str:
 
 
 def object_frame(options: Options, name: str) -> str:
-    """Return the name of the coordinate frame at the centre of mass of one of several objects."""
+    """Return the name of the coordinate frame at an object's centre of mass, if there are several
+    objects.
+    """
     return f"{options.frame_id}_{name.replace('-', '_')}_com"
 
 

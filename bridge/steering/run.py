@@ -32,7 +32,7 @@ MOST_STEPS = 100_000
 
 
 GRAB_SECONDS, OLDEST_STAMP = 60.0, 2.0
-"""Default values of the time after which a grab ends, and of the largest age of a message [s]."""
+"""Default time after which a grab ends, and default value of the largest age of a message [s]."""
 
 
 def checked_duration(name: str, seconds: float) -> float:

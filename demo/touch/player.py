@@ -31,7 +31,7 @@ PREPARING = 120.0
 RATE = 1.6
 """Real-time factor that the grid must reach; a browser on the same machine also needs time."""
 TEXT, BINDING, FRAME, SESSION = b"t", b"b", b"f", b"s"
-"""First letters of messages: plain data for the page, a binding, a frame, a session."""
+"""First letters of the messages with plain data for the page, a binding, a frame, and a session."""
 HEAD = struct.Struct("<IIff")
 """Head of a frame: index, number of the last message, time [s], real-time factor."""
 

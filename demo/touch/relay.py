@@ -241,7 +241,9 @@ class Refused(Exception):
     def __init__(self, text: str = "") -> None:
         super().__init__(text)
         self.text = text
-        """Reason of the refusal, as a sentence for the visitor; empty if it was already sent."""
+        """Reason of the refusal, as a sentence for the visitor; empty if the reason was already
+        sent.
+        """
 
 
 class Budget:

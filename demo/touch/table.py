@@ -50,7 +50,7 @@ class Ticket:
 
     @property
     def lost(self) -> bool:
-        """Whether the permission has expired because no page presented it in time."""
+        """Whether the permission has expired because no page presented the ticket in time."""
         return not self.taken and time.monotonic() - self.created > WAITS
 
 

@@ -1,6 +1,6 @@
 """The job that Generate starts: cut-out -> Gaussians -> clip -> videos; skips finished stages.
 
-An `Order` is the request for a run. If it has grids, the job computes the error of the scene
+An `Order` is the request for a run. If the order has grids, the job computes the error of the scene
 instead: cut-out -> Gaussians -> error. A job that is requested to stop raises `Cancelled` within a
 substep or a rendered frame. Orders and events can be pickled, because on ZeroGPU the job runs in a
 forked process.

@@ -16,7 +16,9 @@ from .order import Order
 
 DEVICE = threading.Lock()
 BEAT = 0.2
-"""Longest interval between two events of a job, after which its generator can be closed [s]."""
+"""Longest interval between two events of a job [s]. The job's generator can be closed after an
+event.
+"""
 
 
 class Limits:

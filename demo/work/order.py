@@ -30,7 +30,7 @@ VECTOR, BYTES_SHOWN, BYTES_AT_REST = 12, 10, 200
 BYTES_MOVED = 8
 """Bytes per frame and particle of a clip that stores particles instead of Gaussians.
 
-The clip of an object that is swung takes 7 bytes (docs/lab/sizes.md).
+The clip of an object that is swung takes 7 bytes per frame and particle (docs/lab/sizes.md).
 """
 BYTES_OF_FILMS = 2_000_000
 """Approximate size of a run's videos [bytes]."""
@@ -62,7 +62,7 @@ class Order:
     extras: ExtraInputs = NO_EXTRAS
     others: tuple[Other, ...] = ()
     photograph: Path | None = None
-    """Picture in which the object is also rendered, in a format that browsers can show."""
+    """Picture in which the object is also rendered; browsers can show the format of the picture."""
     device: str = "auto"
     threads: int | None = None
     """Number of CPU threads; if None, one thread per free core."""
@@ -178,7 +178,7 @@ def order_of(
         limits: The page's limits.
 
     Raises:
-        InputError: An input does not suit the object, or a region contains no part of it.
+        InputError: An input does not suit the object, or a region contains no part of the object.
     """
     each = limits.room.each
     size = bytes_of(scene, count_of(source, limits) * len(scene.names))

@@ -36,7 +36,7 @@ def parse_late() -> None:
 
         parses_late = True
         has_unresolved_static_expressions = False
-        """Always False, because functions with `wp.static` expressions are parsed at once."""
+        """Always False, because functions with `wp.static` expressions are parsed immediately."""
 
         def __init__(self, func: Any, *arguments: Any, **options: Any) -> None:
             code = getattr(func, "__code__", None)

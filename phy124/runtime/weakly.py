@@ -8,9 +8,9 @@ from weakref import WeakMethod
 def weakly(method: Callable[..., Any]) -> Callable[..., Any]:
     """Return a function that calls a method, but does not keep the method's object in memory.
 
-    If a part kept its owner, owner and part would refer to each other. Python would then free their
-    arrays only when it searches for such cycles. The owner must exist whenever the function is
-    called.
+    If a part kept its owner, owner and part would refer to each other. Python would then free the
+    arrays of both objects only when it searches for such cycles. The owner must exist whenever the
+    function is called.
     """
     reference = WeakMethod(method)
 

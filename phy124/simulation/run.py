@@ -49,7 +49,7 @@ class Stopped(RuntimeError):
 
 
 class Interrupted(Cancelled):
-    """Raised if a run is cancelled; its frames are valid, and `resume` can save the state."""
+    """Raised if a run is cancelled. Computed frames are valid, and `resume` can save the state."""
 
     def __init__(self, run: Simulation) -> None:
         self.run = run
@@ -174,7 +174,8 @@ class Simulation:
         record: Callable[[Simulation], object] = lambda run: None,
         shapes: bool = True,
     ) -> Clip:
-        """Return all frames as a clip; after an early stop, it has the valid frames and the reason.
+        """Return all frames as a clip. After an early stop, the clip has the valid frames and the
+        reason.
 
         Args:
             each: Function called with every frame.

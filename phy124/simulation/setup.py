@@ -63,7 +63,7 @@ class Setup:
     free: tuple[FreeBody, ...]
     """Freely moving rigid solids."""
     scenery: Scenery
-    """All Gaussians at rest, with those that the solver does not move."""
+    """All Gaussians at rest, including the Gaussians that the solver does not move."""
     estimate: Estimate
     context: RunContext
     """Particles are sorted for the threads of this context."""

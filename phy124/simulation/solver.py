@@ -135,7 +135,7 @@ def make_solver(setup: Setup, observers: Sequence[Observer]) -> AnySolver:
 def find_tops(
     names: Sequence[str], surface: NDArray | None, free: Sequence[FreeBody]
 ) -> dict[str, float]:
-    """Return the height [m] of the top of each free solid and of each body on a lattice.
+    """For each free solid and each body on a lattice, return the height of its top [m].
 
     `surface` has points, normals and body indices [S,7].
     """

@@ -102,7 +102,7 @@ def list_files(name: str) -> tuple[WeightFile, ...]:
 
 
 def require(name: str, folder: str | os.PathLike[str] | None = None) -> dict[str, Path]:
-    """Return the path of each file of a set, by the name of the file in its repository.
+    """Return the paths of the files of a set, by each file's name in its repository.
 
     Raises:
         InputError: A file is missing, or its size differs from the published size.

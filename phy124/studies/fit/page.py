@@ -142,7 +142,7 @@ BOTH, ONLY_SEEN, ONLY_FITTED = (225, 225, 225), (213, 94, 0), (0, 114, 178)
 
 @dataclass(frozen=True)
 class Comparison:
-    """A video and the clip of the scene that was fitted to it, seen from one camera."""
+    """A video, and the clip of the scene that was fitted to the video, seen from one camera."""
 
     film: Film
     times: Values

@@ -15,7 +15,7 @@ from phy124.studies.sweep.declaration import Axis, Counted, Listed, Sweep
 from phy124.studies.sweep.storage import list_matching
 
 BLOCK = 1024
-"""Number of samples that are computed at once; a power of two."""
+"""Number of samples that are computed in one step; a power of two."""
 MOST = 100_000_000
 """Maximum number of clips of one sweep."""
 FEWEST_BITS = 30

@@ -23,7 +23,9 @@ from phy124.studies.validation.bodies import make_lattice_solver, make_solver, p
 from phy124.studies.validation.experiments.experiment import Experiment, Quantity, Values, find_root
 
 LENGTH, THICKNESS = 1.2, 0.1
-"""Size of the beam [m], which is one particle wide: with nu = 0, nothing varies across it."""
+"""Size of the beam [m]. The beam is one particle wide, because with nu = 0, nothing varies across
+the width.
+"""
 E, DENSITY = 1e6, 1000.0
 STIFFNESS = E * THICKNESS**3 / 12
 """Bending stiffness E I per metre of width [N m]."""

@@ -69,7 +69,7 @@ def fit_law(nu: float, *, whole: bool) -> Law:
 
 @dataclass(frozen=True)
 class Mesh:
-    """A mesh of the cross-section of a ball of radius 1; the plate is at z = 1."""
+    """A mesh of a ball's cross-section. The ball has the radius 1, and the plate is at z = 1."""
 
     x: Array
     """Nodes [N,2]: distance from the axis, and height."""

@@ -21,7 +21,7 @@ SAMPLES = 300
 
 
 def moments(edges: Sequence[float]) -> NDArray[np.float64]:
-    """Return the moments of inertia [3] of a box of mass 12 about its centre."""
+    """Return the moments of inertia [3] about the centre of a box with the mass 12."""
     squares = np.array(edges) ** 2
     return squares.sum() - squares
 

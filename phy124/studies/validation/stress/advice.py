@@ -26,7 +26,7 @@ REFUSED: dict[str, dict[str, Any]] = {
     "rigid": {"material": {"law": "rigid", "speed": 1000.0, "strain": 1e-4}, "time": LONG},
 }
 TOO_LONG = 2.5
-"""Multiple of the stable substep at which a run becomes unstable; users cannot choose it."""
+"""Multiple of the stable substep at which a run is unstable; users cannot choose such substeps."""
 
 
 def advice(setting: Setting) -> list[Check]:

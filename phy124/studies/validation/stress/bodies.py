@@ -69,7 +69,7 @@ def assign(solver: Solver, name: str, values: Array) -> None:
 
 
 def stable_dt(solver: Solver) -> float:
-    """Return the limit of an isolated particle at rest, dx / sqrt(A / rho0) [s]."""
+    """Return the limit on the substep of an isolated particle at rest, dx / sqrt(A / rho0) [s]."""
     return solver.model.dx / solver.model.materials[0].wave_speed()
 
 

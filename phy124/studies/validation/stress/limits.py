@@ -76,8 +76,9 @@ def disturb(
         setting: Device and precision.
         count: Number of substeps.
 
-    Returns: The number of substeps with finite values, and the growth of the strain: its maximum in
-    the second half divided by that in the first half, infinite if unstable.
+    Returns: The number of substeps with finite values, and the growth of the strain. The growth is
+    the maximum strain in the second half divided by the maximum in the first half; if the body is
+    unstable, the growth is infinite.
     """
     material = NeoHookean(E=1e4, nu=nu)
     # The limit at rest is computed independently of the solver: A = 2 mu + 3 lambda.
@@ -178,7 +179,7 @@ class Stack(NamedTuple):
 
 
 def heavy_on_light(ratio: float, setting: Setting, until: float) -> Stack:
-    """Simulate a block on a block with `ratio` times less mass, until a time [s]."""
+    """Simulate a block on a lighter block until a time [s]; `ratio` is the ratio of the masses."""
     low, high = block(4, 0.25, (0, 0, 0.125)), block(4, 0.25, (0, 0, 0.375))
     x = np.concatenate([low, high])
     materials = [NeoHookean(E=5e7, density=d) for d in (1e5 / ratio, 1e5)]
@@ -202,7 +203,7 @@ def heavy_on_light(ratio: float, setting: Setting, until: float) -> Stack:
 
 
 def mass_ratio(setting: Setting) -> list[Check]:
-    """Check that a block can rest on a block with 1, 1/100 or 1/10,000 of its mass."""
+    """Check that a block can rest on a block with 1, 1/100 or 1/10,000 of the upper block's mass."""
     checks = []
     for ratio in (1.0, 1e2, 1e4):
         stack = heavy_on_light(ratio, setting, 0.4 if setting.long else 0.02)
