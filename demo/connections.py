@@ -28,7 +28,9 @@ AT_ONCE = 2048
 
 
 def allow_connections() -> int:
-    """Raise the limit on open files. Return half of this limit, for the number of connections."""
+    """Raise the limit on open files. Return the largest number of connections, which is half of
+    this limit.
+    """
     if resource is None:
         return UNLIMITED // 2
     now, most = resource.getrlimit(resource.RLIMIT_NOFILE)

@@ -26,8 +26,8 @@ class LateVariants:
 
 
 def declare_late() -> None:
-    """Make Warp declare a function's Python variants when one is called. Call this before importing
-    Warp.
+    """Make Warp declare the Python variants of a function when one of the variants is called. Call
+    `declare_late` before importing Warp.
     """
     if DECLARING not in sys.modules:
         sys.meta_path.insert(0, LateVariants())  # pyright: ignore[reportArgumentType]

@@ -34,7 +34,7 @@ class Stopwatch:
             self._thread.inner = before + spent
 
     def each(self, name: str, items: Iterable[T]) -> Iterator[T]:
-        """Yield items, and add the time in which each item is produced to a stage."""
+        """Yield items; the time for producing each item is added to a stage."""
         iterator = iter(items)
         try:
             while True:

@@ -54,8 +54,8 @@ class Buried(NamedTuple):
 def refuse_empty(scene: Scene, model: Model) -> None:
     """Check that the regions of forces, and the clamps of lattices, contain material at the start.
 
-    Without lattices, a clamp may be empty, because the clamp also holds material that arrives
-    later.
+    In scenes that are not simulated on lattices alone, a clamp may be empty, because the clamp also
+    holds material that arrives later.
 
     Raises:
         InputError: A region or a clamp contains no material.

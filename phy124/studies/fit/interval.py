@@ -113,9 +113,9 @@ def shift_values(
 ) -> NDArray[np.float64]:
     """Return the largest shift of each value [P] that grid errors of known size can cause.
 
-    The worst case is assumed: grid errors look like a change of a value. Grid errors have few
-    degrees of freedom (two to four singular values in synthetic tests). Errors of norm e then shift
-    value i of a least-squares fit by `e sqrt(((J^T J)^-1)_ii)`.
+    Grid errors have few degrees of freedom (two to four singular values in synthetic tests). The
+    worst case is therefore assumed: grid errors look like a change of a value. Errors of norm e
+    then shift value i of a least-squares fit by `e sqrt(((J^T J)^-1)_ii)`.
 
     Args:
         jacobian: Derivatives of the weighted prediction [M,P], in units of the misfit.

@@ -64,7 +64,7 @@ def press(cells: int, moving: int, fixed: int, nu: float) -> tuple[float, float]
 
     Returns:
         The axial stress divided by the axial strain [Pa], and the negative ratio of the lateral
-            strain to the axial strain.
+        strain to the axial strain.
     """
     half, dx = SIZE / 2, SIZE / 2 / cells
     x = lattice((2 * cells,) * 3, dx / 2)
