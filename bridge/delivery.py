@@ -17,8 +17,8 @@ FAREWELL = 2.0
 STEP = 0.02
 """Longest wait between two updates of the clock and checks for Ctrl-C [s]."""
 IN_BUFFERS = 1 << 20
-"""Unacknowledged data that is assumed to have arrived [bytes]: a subscriber's default buffers can
-store this amount, and an acknowledgement may take 100 ms (Cyclone's heartbeat).
+"""Amount of unacknowledged data that is assumed to have arrived [bytes]. A subscriber's default
+buffers can store this amount. An acknowledgement may take 100 ms (Cyclone's heartbeat).
 """
 log = logging.getLogger(__name__)
 

@@ -33,7 +33,8 @@ LATER: dict[str, dict[str, Any]] = {
         "set_acceleration": bool,
     }
 }
-"""Members that version 2 of a package (in Lyrical) appends to requests."""
+"""Members that version 2 of a package (in Lyrical) appends to requests, by the type of the request.
+"""
 
 
 @cache

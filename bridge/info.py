@@ -23,7 +23,8 @@ from .topics import MAIN
 WANTED_BUFFER = 4 << 20
 """Receive buffer that can store a frame of 65,536 points of 60 bytes each [bytes]."""
 SHARED = (("NumPy", "numpy", 2), ("OpenCV", "cv2", 4))
-"""Packages that phy124 and ROS 2 share: name, module, newest major version for Lyrical."""
+"""Name, module and newest major version (for Lyrical) of the packages that phy124 and ROS 2 share.
+"""
 NUMPY_1 = ("humble", "jazzy", "kilted")
 """Distributions of ROS 2 whose packages are built for NumPy 1."""
 OPTIONAL = {

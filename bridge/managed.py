@@ -88,7 +88,7 @@ class Work:
         self.clean_up()
 
     def run(self) -> None:
-        """Play while the node is active, otherwise wait, until the node or ROS is shut down."""
+        """Until the node or ROS is shut down, play while the node is active, and otherwise wait."""
         from rclpy.executors import SingleThreadedExecutor
 
         node = self._node

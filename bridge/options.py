@@ -118,7 +118,7 @@ class Options(Section):
 
     @property
     def camera_names(self) -> tuple[str, ...]:
-        """Names of the cameras in topics, without hyphens and dots, which ROS forbids.
+        """Names of the cameras in topics, without the hyphens and dots that ROS forbids.
 
         Raises:
             InputError: The file of cameras cannot be read.

@@ -95,9 +95,9 @@ def make_panel(name: str) -> gr.HTML:
 def mark_answers(page: Any) -> None:
     """Wrap the handlers of a `gr.Blocks`, so that no two answers to the same panel are equal.
 
-    Gradio does not send a panel a value that equals the previous value, so a panel would wait
-    forever after two equal refusals. Each answer therefore contains a different number, which
-    handlers do not receive.
+    Gradio does not send a value to a panel if the value equals the previous value. A panel would
+    therefore wait forever after two equal refusals. Each answer therefore contains a different
+    number, which handlers do not receive.
     """
     for event in page.fns.values():
         panels = [isinstance(block, gr.HTML) for block in event.outputs]

@@ -17,7 +17,7 @@ from phy124.budget.cost import Rates, Work
 from phy124.scene import Scene
 
 READ = 0.2
-"""Longest time in which Gaussians are read from a file instead of generated [s]."""
+"""If the stage `generate` takes at most this time [s], Gaussians were read instead of generated."""
 SPREAD = 3.0
 """Largest factor between a corrected cost and the cost measured at the start."""
 WINDOW = 5
@@ -25,7 +25,8 @@ WINDOW = 5
 FIXED = 0.7
 """Largest fraction of a usual run's time that may be attributed to fixed costs."""
 MINIMUM = 0.2
-"""Smallest work of a run that corrects a cost, relative to the work in the first measurement."""
+"""A run corrects a cost only if its work is at least this fraction of the first measurement's work.
+"""
 
 
 class Learned:

@@ -32,7 +32,7 @@ NOT_READ = {
     ".ksplat": "Save it as .ply or .spz in the program that made it, or convert it with"
     " splat-transform; then send the new file.",
 }
-"""Advice for visitors who upload a file with one of these suffixes, which cannot be read."""
+"""Advice for visitors who upload a file that cannot be read, by the file's suffix."""
 MOST = 4
 
 

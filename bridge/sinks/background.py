@@ -1,7 +1,7 @@
 """Background: runs another sink in a separate thread, so that recording never delays playback.
 
-Frames wait in a short queue. While the queue is full, new frames are not recorded, but counted and
-reported, and playback continues.
+Frames wait in a short queue. While the queue is full, playback continues, and new frames are
+counted and reported instead of recorded.
 """
 
 from __future__ import annotations

@@ -185,7 +185,7 @@ class FoxgloveSink:
             playing: True to play, False to pause.
             speed: Playback speed: seconds of the clip per real second.
             seek: Time to seek [ns since 1970]. If None, the time does not change.
-            request: Identifier of the request, which the next state must contain.
+            request: Identifier of the request; the next state must contain this identifier.
         """
         orders = [f"speed {speed!r}"]
         if seek is not None:

@@ -116,7 +116,9 @@ class Entities:
         }
 
     def set_state(self, request: Any) -> dict[str, Any]:
-        """Move an entity as a rigid body (SetEntityState); version 1.x sets pose and twist."""
+        """Move an entity as a rigid body (SetEntityState); requests of version 1.x set pose and
+        twist.
+        """
         name, state = request.entity, request.state
         before = self._motions.get(name)
         if before is None:

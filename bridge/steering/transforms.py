@@ -30,7 +30,8 @@ class Transforms:
         """Store the transforms of a TFMessage.
 
         Raises:
-            InputError: A transform is not a rotation or not finite, or there are too many frames.
+            InputError: A rotation is not a unit quaternion, a number is not finite, or there are
+                too many frames.
         """
         for link in message.transforms:
             child = link.child_frame_id

@@ -2,7 +2,7 @@
 
 Each live run has a process (phy124.live), which a relay in this server connects with the browser
 (static/touch.js). The process chooses a grid that runs in real time on this machine, and sends the
-browser the nodes of the lattice to which the Gaussians are bound.
+nodes of the lattice to the browser; the Gaussians are bound to these nodes.
 """
 
 from .relay import socket_route

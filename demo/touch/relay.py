@@ -43,7 +43,7 @@ LARGEST = 1 << 26
 SAYINGS = 32
 """Largest number of unsent messages for the visitor; further messages are discarded."""
 PARTING = 10.0
-"""Time limit for sending the browser the message with which a live run ends [s]."""
+"""Time limit for sending the last message of a live run to the browser [s]."""
 BROKEN = "The live run failed. Start it again."
 IDLE = "The live run ended, because it was not touched for {:g} minutes."
 OVER = "A live run lasts {:g} minutes here. Start another one."

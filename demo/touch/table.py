@@ -1,7 +1,7 @@
 """Permissions for live runs (tickets), and the limits of saved sessions.
 
 The tickets limit the number of live runs per visitor and in total. A ticket counts as a live run
-when a page has presented it.
+when a page has presented the ticket.
 """
 
 from __future__ import annotations

@@ -100,8 +100,8 @@ def _mass(scene: Any, thickness: float | None) -> float:
 def _wall_speed(wall: Any, size: float, end: float) -> float:
     """Return the largest speed of a wall [m/s].
 
-    A wall that holds points may suddenly change its velocity; the points then move at this speed
-    relative to the wall.
+    If a wall that holds points changes its velocity suddenly, the change counts as a speed, because
+    the points then move at this speed relative to the wall.
     """
     if isinstance(wall, Press):
         return math.pi / 2 * wall.depth * size / min(wall.down, wall.up)

@@ -17,8 +17,8 @@ Mach 2, 3 and 4, a lattice needs 5, 9 and more than 13 times as many substeps as
 
 LIGHTEST = 0.03
 """Smallest density of undamped bodies for which `auto` chooses lattices, relative to the densest
-liquid. At a relative density of 0.01, a cube of E = 1 kPa gained energy; at 0.03, or with E = 10
-kPa, the cube did not.
+liquid. At a relative density of 0.01, a cube with E = 1 kPa gains energy. At 0.03, or with E = 10
+kPa, the cube gains no energy.
 """
 
 FARTHEST_DRIVEN = 0.5

@@ -27,7 +27,7 @@ Push = tuple[_Push, _Push, _Push]
 """An acceleration [m/s^2], a force [N] or a momentum [N s]."""
 Direction = tuple[_Direction, _Direction, _Direction]
 Factor = Annotated[float, Field(ge=-1e6, le=1e6)]
-"""A value of a time profile, by which the strength of a force or motion is multiplied."""
+"""A value of a time profile; the strength of a force or motion is multiplied by this value."""
 Instant = Annotated[float, Field(ge=0, le=LONGEST)]
 """A time since the start [s]."""
 Colour = Annotated[float, Field(ge=0, le=1)]

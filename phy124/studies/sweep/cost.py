@@ -123,7 +123,7 @@ class Remaining:
         self._start: float | None = None
         self._last = -1
         self._moments = np.zeros(5)
-        """Sums over finished clips: 1, work, seconds, work squared, and work times seconds."""
+        """Sums over finished clips of 1, work, seconds, work squared, and work times seconds."""
         places = np.linspace(0, len(numbers) - 1, min(SAMPLED, len(numbers))).astype(int)
         self._sample = [(numbers[place], self._work_of(numbers[place])) for place in places]
 

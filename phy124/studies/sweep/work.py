@@ -246,7 +246,7 @@ def write_failed(order: Order, sentence: str) -> Row:
 
 
 def stops_all(error: BaseException) -> bool:
-    """Return whether an error prevents all clips from being stored, because no space is left."""
+    """Return whether an error means that no space is left, so that no clip can be stored."""
     return isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT)
 
 

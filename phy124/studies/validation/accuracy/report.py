@@ -16,9 +16,9 @@ from phy124.scene import PRESETS, Scene
 COARSEST = 8
 """Smallest number of cells across the object of a recommended setting."""
 KNOWN = 0.5
-"""Smallest fraction of frames with known errors for a recommendation."""
+"""A setting is recommended only if the errors of at least this fraction of the frames are known."""
 MOVING = 2
-"""Smallest number of frames after the first with known errors for a recommendation."""
+"""A setting is recommended only if the errors of at least this many later frames are known."""
 GOOD = 0.04
 """Largest error of a recommended setting, as a fraction of the object's size."""
 

@@ -14,9 +14,9 @@ from phy124.studies.validation.experiments.experiment import Experiment, Quantit
 CASES = ((0.3, 0.0), (0.5, 0.3), (0.8, 0.4), (0.3, 0.5))
 """Slope tan(angle) and coefficient of friction; in the last case, nothing slides."""
 SIZE, SETTLING, SLIDING = 0.4, 1.4, 0.4
-"""Edge of the block [m]; durations of settling and of sliding [s]."""
+"""Edge of the block [m], duration of settling [s], and duration of sliding [s]."""
 SAMPLES = 41
-"""Number of positions to which a parabola is fitted, which averages out the block's rocking."""
+"""Number of positions to which a parabola is fitted; the fit averages out the block's rocking."""
 
 
 def acceleration(slope: float, friction: float) -> float:
