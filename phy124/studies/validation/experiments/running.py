@@ -75,7 +75,7 @@ def run_all(
 
 
 def conclude(experiment: Experiment, measured: Sequence[Measured]) -> Outcome:
-    """Return the outcome of an experiment from the results of its runs, which may have any order."""
+    """Return the outcome of an experiment from the results of its runs, in arbitrary order."""
     seconds = sum(result.seconds for result in measured)
     failures = tuple(result.failure for result in measured if result.failure)
     if failures:
