@@ -159,7 +159,7 @@ def test_presets_of_several_objects_and_of_snow_are_measured(name):
     [
         ({"material.E": 2e3}, "with so fast a motion or so soft a material"),
         ({"object.velocity": [0, 0, -30]}, "with so fast a motion or so soft a material"),
-        ({"accuracy": {"cells": 6}}, "on so coarse a grid"),
+        ({"accuracy": {"cells": 4}}, "on so coarse a grid"),
         ({"accuracy": {"cells": 32, "particles_per_axis": 1.0}}, "fewer than 2 particles per cell"),
         ({"parts": [{"region": {}, "material": {"law": "sand"}}]}, "elastic and sand falling"),
         ({"material.law": "sand", "material.repose_angle": 20}, "with another repose_angle"),
