@@ -267,6 +267,19 @@ def test_repetition_of_a_live_run_has_the_same_bounds():
     assert repeated[2:] == bounds[2:]
 
 
+def test_session_of_a_live_run_keeps_its_solver():
+    """For the whole session, with its strong push, `auto` chooses MPM."""
+    live = Live(surface_of_ball(), lattice_scene(solver="auto"), RunContext(threads=1))
+    live.step()
+    live.push((3e5, 0, 0), seconds=0.1)
+    frames = list(live.frames(2))
+    chosen = live.session()
+    assert live._inputs.scene().solver == "mpm" and chosen.solver == "lattice"
+    assert Scene.from_data(chosen.data()) == chosen
+    clip = live.clip()
+    assert np.array_equal(frames[-1].gaussians.means, clip.means[2])
+
+
 def test_free_solid_set_in_fast_motion_does_not_pass_through():
     data = lattice_scene().data()
     data["object"]["lift"] = 0.0

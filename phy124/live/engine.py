@@ -33,6 +33,8 @@ from phy124.live.limits import (
 from phy124.properties.stiffness import SOFTEST, STIFFEST
 from phy124.runtime.context import RunContext
 from phy124.scene import Scene
+from phy124.scene.lattices import keep_lattice
+from phy124.scene.liquids import keep_solver
 from phy124.schema.region import Vector
 from phy124.simulation import Setup, Simulation, Stopped, prepare
 from phy124.simulation.appearance import Appearance
@@ -395,9 +397,11 @@ class Live:
         self._note(f"{name} was moved immediately; the session does not repeat this move.")
 
     def session(self) -> Scene:
-        """Return the scene with all inputs and the session's number of frames."""
-        frames = max(self._run.count, 1)
-        scene = self._inputs.scene()
+        """Return the scene with all inputs, the run's solvers and its number of frames."""
+        frames, before = max(self._run.count, 1), self._run.setup
+        scene = keep_lattice(self._inputs.scene(), before.scene)
+        if scene.projects != before.scene.projects:
+            scene = keep_solver(scene, before.scene)
         return scene.model_copy(update={"time": scene.time.model_copy(update={"frames": frames})})
 
     def clip(self) -> Clip:
