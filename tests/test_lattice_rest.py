@@ -25,6 +25,16 @@ def test_light_nodes_get_mass_from_heavy_ones():
     assert lattice.mass[lattice.mass > 0].min() > 0.0199 * DX**3
 
 
+def test_light_material_is_not_tied_to_heavy_material():
+    """Tied surface points would have no weight on nodes with mass, and so no contact."""
+    solid = block((0.35, 0.325, 0.65), low=(0.075, 0.075, 0.0875), per=8)
+    x, volume = integration_points(solid, DX)
+    even = RestLattice.of(x, volume, volume, DX)
+    uneven = RestLattice.of(x, volume * np.where(x[:, 2] < 0.4, 1e-4, 1), volume, DX)
+    assert 10 < len(uneven.tied) < 1.2 * len(even.tied)
+    assert np.isclose(uneven.mass.sum(), (volume * np.where(x[:, 2] < 0.4, 1e-4, 1)).sum())
+
+
 def test_masses_of_huge_bodies_do_not_overflow():
     solid = block((0.35, 0.325, 0.325), low=(0.075, 0.075, 0.0875), per=8)
     x, volume = integration_points(solid, DX)

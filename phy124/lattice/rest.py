@@ -141,11 +141,14 @@ class RestLattice:
         number = number.reshape(len(cell), 27)
         index = np.stack(np.unravel_index(nodes // room, tuple(size)), axis=1) + low
         offset = x - np.repeat(cell, PER_CELL, axis=0) + 0.5
-        of_cells = (_weights(offset) * mass[:, None]).reshape(len(cell), PER_CELL, 27).sum(axis=1)
-        of_nodes = np.bincount(number.ravel(), of_cells.ravel(), len(nodes))
-        density = float(mass.sum() / volume.sum())
+        weights = _weights(offset)
+        of_nodes, filled = (
+            _add_to_nodes(weights, each, number, len(nodes)) for each in (mass, volume)
+        )
+        density = np.full(len(nodes), float(mass.sum() / volume.sum()))
+        np.divide(of_nodes, filled, out=density, where=filled > 0)
         # In a body of needles or thin sheets, no node is as heavy as a node inside a body.
-        whole = min(density * dx**3, of_nodes.max() / GIVING)
+        whole = density * min(dx**3, filled.max() / GIVING)
         corner = (np.bincount(number.ravel()) == 1) & (of_nodes < CORNER * whole)
         tied, ties, of_nodes = tie_light(index, number, of_nodes, LIGHTEST * whole, corner)
         of_nodes, shares = share_mass(index, number, of_nodes, LIGHT * whole, GIVING * whole)
@@ -299,6 +302,14 @@ def _copies_in(copies: NDArray | None, span: slice) -> NDArray[np.int64] | None:
     start, stop = (end // PER_CELL if end is not None else None for end in (span.start, span.stop))
     mine: NDArray[np.int64] = copies[start:stop].astype(np.int64)
     return mine if mine.any() else None
+
+
+def _add_to_nodes(
+    weights: NDArray, of_points: NDArray, number: NDArray[np.int64], count: int
+) -> NDArray[np.float64]:
+    """Distribute a quantity of the points [P] to the nodes `number` [C,27] of their cells [N]."""
+    of_cells = (weights * of_points[:, None]).reshape(len(number), PER_CELL, 27).sum(axis=1)
+    return np.bincount(number.ravel(), of_cells.ravel(), count)
 
 
 def splines(offset: NDArray) -> NDArray[np.float64]:

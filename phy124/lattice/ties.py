@@ -3,6 +3,9 @@
 The motion of a tied node is extrapolated from heavier nodes. The transpose of this extrapolation
 distributes the tied node's force and mass over these nodes, so that momentum and angular momentum
 are conserved. The extrapolation is exact for linear functions.
+
+The mass of a node inside the body is for the density of the material around each node. Otherwise,
+all nodes of a material 1000 times lighter than the rest of the body would be tied.
 """
 
 import numpy as np
@@ -46,7 +49,7 @@ def tie_light(
     index: NDArray[np.int64],
     cells: NDArray[np.int64],
     mass: NDArray,
-    least: float,
+    least: NDArray,
     corner: NDArray[np.bool_],
 ) -> tuple[NDArray[np.int64], scipy.sparse.csr_matrix, NDArray[np.float64]]:
     """Return the tied nodes, the weights of their donors, and the masses of all nodes (0 if tied).
@@ -55,7 +58,7 @@ def tie_light(
         index: Indices of the nodes [N,3].
         cells: The nodes of each cell [C,27].
         mass: Masses of the nodes [N], kg.
-        least: A node is tied if its mass is smaller [kg].
+        least: A node is tied if its mass is smaller [N], kg.
         corner: Whether each node is tied regardless of its mass [N].
     """
     candidates, light, whole = mass, corner, least / LIGHTEST
@@ -75,10 +78,10 @@ def share_mass(
     index: NDArray[np.int64],
     cells: NDArray[np.int64],
     mass: NDArray[np.float64],
-    least: float,
-    giving: float,
+    least: NDArray,
+    giving: NDArray,
 ) -> tuple[NDArray[np.float64], scipy.sparse.csr_matrix]:
-    """Move mass from heavy nodes to nodes lighter than `least` [kg]; return the new masses.
+    """Move mass from heavy nodes to nodes lighter than `least`; return the new masses.
 
     The total mass and its centre are preserved. No node loses more than half of its mass. The
     returned matrix [N,N] moves forces along with the mass, since the moved mass has the
@@ -88,12 +91,12 @@ def share_mass(
         index: Indices of the nodes [N,3].
         cells: The nodes of each cell [C,27].
         mass: Masses of the nodes [N], kg; 0 if tied.
-        least: Nodes that are not tied get at least this mass [kg].
-        giving: Mass is taken from nodes with at least this mass [kg].
+        least: Nodes that are not tied get at least this mass [N], kg.
+        giving: Mass is taken from nodes with at least this mass [N], kg.
     """
     light, weights = _tie(index, cells, mass, least, giving, giving / GIVING)
     light, weights = light[mass[light] > 0], weights[mass[light] > 0]
-    wanted = least - mass[light]
+    wanted = least[light] - mass[light]
     taken = abs(weights).T @ wanted
     part = np.ones(len(mass))
     np.divide(0.5 * mass, taken, out=part, where=taken > 0.5 * mass)
@@ -118,19 +121,19 @@ def _tie(
     index: NDArray[np.int64],
     cells: NDArray[np.int64],
     mass: NDArray,
-    least: float,
-    giving: float,
-    whole: float,
+    least: NDArray,
+    giving: NDArray,
+    whole: NDArray,
     *,
     far: bool = False,
 ) -> tuple[NDArray[np.int64], scipy.sparse.csr_matrix]:
-    """Return the nodes lighter than `least` [kg], and the weights that extrapolate their motion.
+    """Return the nodes lighter than `least`, and the weights that extrapolate their motion.
 
     The weights reproduce every linear function that is determined by the nearby nodes with a mass
-    of at least `giving` [kg]. Nodes in a common cell with the light node are preferred, because
-    other nodes may belong to another part of the body, such as a leaf near a stem. If the heavy
-    nodes nearby do not determine the motion and `far` is true, heavy nodes up to a distance of
-    `FAR` are used. `whole` is the mass of a node inside the body [kg].
+    of at least `giving`. Nodes in a common cell with the light node are preferred, because other
+    nodes may belong to another part of the body, such as a leaf near a stem. If the heavy nodes
+    nearby do not determine the motion and `far` is true, heavy nodes up to a distance of `FAR` are
+    used. `whole` is the mass of a node inside the body. All masses are in kg [N].
     """
     count, thin = len(index), mass < THIN * whole
     light, heavy = np.flatnonzero(mass < least), np.flatnonzero(mass >= giving)
