@@ -8,6 +8,7 @@ from phy124.forces import Grab, TotalForce, WrenchForce
 from phy124.lattice.rest import RestLattice
 from phy124.materials import NeoHookean
 from phy124.monitor.lattice import LatticeTotals
+from phy124.particles.solid import Solid
 from phy124.schema.region import Region
 from support.lattices import DX, block, fork, make
 
@@ -49,6 +50,13 @@ def test_nodes_served_only_by_repetitions_move_with_the_body():
     lattice = solver.lattice
     assert len(np.unique(lattice.nodes_of())) < len(lattice)
     assert np.allclose(solver.nodes_state.v.numpy(), (1, 2, 3))
+
+
+def test_points_of_scattered_voxels_have_finite_weights():
+    """Some of these points keep a single node, or nodes in one plane."""
+    filled = np.random.default_rng(3).random((40, 40, 16)) < 0.15
+    surface = make(Solid(np.zeros(3, int), DX / 5, filled.astype(np.float32))).surface
+    assert np.allclose(surface.weights.sum(axis=1), 1) and np.abs(surface.weights).max() < 1.5
 
 
 def test_nodes_of_which_cells_use_one_copy_have_no_copies():

@@ -29,6 +29,8 @@ INSIDE = 0.25
 """Depth below the surface at which a surface point's weights of nodes are computed [cells]."""
 SUPPORTED = 0.5
 """Surface points with a smaller sum of weights on nodes with mass are removed."""
+LEAST = 1e-6
+"""Corrected weights with a smaller sum, relative to the sum before the correction, are not used."""
 FLAT = 0.9
 """A surface point lies at an edge if the mean normal within a cell is shorter than this."""
 REGULAR = 1e-5
@@ -167,7 +169,10 @@ def make_surface(points: NDArray, lattice: RestLattice) -> Surface:
     weighted = weights[:, :, None] * arm
     first, second = weighted.sum(axis=1), np.swapaxes(weighted, 1, 2) @ arm
     slope = -np.einsum("pab,pb->pa", np.linalg.pinv(second, hermitian=True), first)
-    weights = weights * (1 + np.einsum("pna,pa->pn", arm, slope))
+    corrected = weights * (1 + np.einsum("pna,pa->pn", arm, slope))
+    # If all nodes of a point are in one plane, the corrected weights may be 0.
+    sound = corrected.sum(axis=1) > LEAST * weights.sum(axis=1)
+    weights = np.where(sound[:, None], corrected, weights)
     weights /= weights.sum(axis=1, keepdims=True)
     nodes, weights = _consecutive(nodes, weights, len(lattice))
     if (inner >= 0).any():
