@@ -22,8 +22,10 @@ from phy124.materials import NeoHookean
 from phy124.monitor.diagnostics import diagnose
 from phy124.monitor.external_work import WALL, ExternalWork
 from phy124.mpm.tracks import Sine, Tracks
+from phy124.simulation import Simulation, prepare
 from phy124.studies.validation.bodies import block, make_solver
-from support.shapes import thrown_block
+from support.lattices import lattice_scene
+from support.shapes import ball, thrown_block
 
 FRAMES, FPS = 4, 100
 
@@ -139,3 +141,11 @@ def test_a_snapshot_is_plain_data_and_restores_the_sums():
     fresh.restore(kept)
     closed = np.sum(list(fresh.snapshot()["closed"].values()), axis=0)
     assert closed[0] == pytest.approx(exchanged.impulse[0]), "sums of no launch yet are kept, too"
+
+
+@pytest.mark.usefixtures("coarse_solids")
+def test_gravity_does_no_work_on_held_objects():
+    scene = lattice_scene(frames=2).replaced({"object.held": True})
+    held = Simulation(prepare(ball(300), scene))
+    held.run()
+    assert held.stopped is None and held.count == 2

@@ -181,8 +181,10 @@ def make_uniform_sums(real: Any):
         exchange_out,
     ):
         a = values[0]
-        factor = mass * wp.float64(clock[0])
-        J = factor * wp.vec3d(wp.float64(a[0]), wp.float64(a[1]), wp.float64(a[2]))
+        change = wp.float64(clock[0]) * wp.vec3d(
+            wp.float64(a[0]), wp.float64(a[1]), wp.float64(a[2])
+        )
+        J = mass * change
         p = wp.vec3d()
         for c in range(3):
             before = walls_out[3 + c]
@@ -202,7 +204,7 @@ def make_uniform_sums(real: Any):
             for row in range(pairs.shape[0]):
                 walls_out[3 + c] += signs[row] * pairs[row, c]
             p[c] += (walls_out[3 + c] - before) / wp.float64(2.0)
-        work = wp.dot(J, p + J / wp.float64(2.0)) / mass
+        work = wp.dot(change, p + J / wp.float64(2.0))
         add_exchange(exchange_out, J, work, wp.length(J), wp.abs(work))
 
     return uniform_sums
