@@ -222,8 +222,10 @@ def make_kick(real: Any):
         centres_out: Vectors,
         body_out,
     ):
-        if body_out[KICKED] == wp.float64(0.0):
-            pull = wp.float64(clock[0]) * wide(values[0])
+        dt = wp.float64(clock[0])
+        # Before the first step, particles are moved apart without a kick.
+        if body_out[KICKED] == wp.float64(0.0) and dt > wp.float64(0.0):
+            pull = dt * wide(values[0])
             put3(body_out, VELOCITY, at3(body_out, VELOCITY) + pull)
             body_out[KICKED] = wp.float64(1.0)
         plans_out[solid, 0] = at3(body_out, VELOCITY)
