@@ -25,8 +25,12 @@ from phy124.monitor.diagnostics import diagnose
 from phy124.mpm import Solver
 from phy124.mpm.tracks import Keyframes, Ramp, Sine
 from phy124.mpm.workers import HOST
+from phy124.runtime.context import RunContext
+from phy124.scene import Scene
 from phy124.schema.region import Region
+from phy124.simulation import Simulation, prepare
 from phy124.studies.validation.bodies import block, make_solver
+from support.shapes import ball
 
 DX = 0.125
 LEFT = Region(upper=(0.0, 1e9, 1e9))
@@ -48,6 +52,35 @@ def launches(s: Solver) -> set[str]:
     s.advance(0.002)
     usual = {"measure", "clear", "p2g neo_hookean", "grid", "g2p neo_hookean"}
     return set(s.timings) - usual - set(HOST)
+
+
+@pytest.mark.parametrize("kinds", [("mpm",), ("lattice",), ("fluid",), ("fluid", "sand")])
+def test_an_impulse_is_shared_with_a_free_solid(kinds):
+    """Also a liquid and other material, which two solvers move, have the velocity p / m."""
+    apart = {"shape": "box", "size": 0.4, "place": [0, 2]}
+    objects = [{**apart, "name": "solid", "motion": {"kind": "free", "density": 500}}]
+    objects += [
+        {**apart, "name": kind, "place": [0, -2], "material": {"law": kind}} for kind in kinds[1:]
+    ]
+    material = {"law": "fluid"} if kinds[0] == "fluid" else {"law": "neo_hookean", "E": 1e5}
+    solver = {} if kinds[0] == "fluid" else {"solver": kinds[0]}
+    blow = {"kind": "impulse", "p": [0, 0, 300]}
+    scene = Scene.from_data(
+        {"accuracy": {"cells": 8, **solver}, "material": material, "objects": objects}
+        | {"forces": [blow], "boundaries": [], "time": {"frames": 2}}
+    )
+    run = Simulation(prepare(ball(300), scene, RunContext(threads=1)))
+    run.step()
+    run.step()
+    s, (solid,) = run.solver, run.setup.free
+    mass = s.model.mass.numpy().astype(float)
+    v = s.state.v.numpy()[:, 2]
+    expected = 300 / (mass.sum() + solid.mass)
+    assert s.free.motions()[0, 2] == pytest.approx(expected, rel=1e-3)
+    for body in range(s.model.bodies):
+        part = s.model.particles(body)
+        mean = mass[part] @ v[part] / mass[part].sum()
+        assert mean == pytest.approx(expected, rel=1e-3), s.model.names[body]
 
 
 @pytest.mark.parametrize("region", [None, LEFT], ids=["whole", "part"])

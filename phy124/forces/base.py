@@ -93,11 +93,15 @@ class Force(Section):
         raise NotImplementedError
 
     def mass_in(self, model: Model) -> float:
-        """Return the mass of the movable particles of a model on which the force acts [kg]."""
+        """Return the movable mass of a model on which the force acts [kg]."""
         if self.object is not None and self.object not in model.names:
             return 0.0
         share = self.shares(model.rest) * (model.moves & of_object(model, self.object))
-        return float(share @ np.asarray(model.mass.numpy(), np.float64))
+        return float(share @ np.asarray(model.mass.numpy(), np.float64)) + self.free_mass_in(model)
+
+    def free_mass_in(self, model: Model) -> float:
+        """Return the mass of the free solids of a model on which the force acts [kg]."""
+        return model.free_mass if self.uniform else 0.0
 
     def shares(self, rest: NDArray) -> NDArray[np.float64]:
         """Return the force's fraction on each particle [P]; `rest` [P,3], m, are rest positions."""
@@ -186,9 +190,10 @@ def push(force: Force, value: Vector, model: Model, state: State, tracks: Tracks
 
 
 def per_mass(force: Force, f: Vector, model: Model) -> Vector:
-    """Divide a vector by the total mass of the chosen particles."""
+    """Divide a vector by the total mass of the chosen particles and the free solids."""
     chosen = np.asarray(force.chosen(model).numpy(), dtype=np.int64)
     total = float(np.take(model.mass.numpy(), chosen).sum(dtype=np.float64))
+    total += force.free_mass_in(model)
     return f[0] / total, f[1] / total, f[2] / total
 
 

@@ -19,7 +19,7 @@ from phy124.lattice.solver import LatticeSolver
 from phy124.liquid.bodies import Bodies
 from phy124.liquid.exchange import LatticeBodyWork
 from phy124.liquid.impulses import WallImpulses
-from phy124.liquid.mixed import MixedClock, liquid_model, liquid_span, liquid_state
+from phy124.liquid.mixed import MixedClock, divide_forces, liquid_model, liquid_span, liquid_state
 from phy124.liquid.solver import LiquidSolver
 from phy124.mpm import Accumulator, Attachable, Model, Pair, Stage, State
 from phy124.mpm.free import Plane
@@ -101,7 +101,7 @@ class ImmersedSolver:
             if {pair.first, pair.second} <= place.keys()
         ]
         self.lattice = ImmersedLattices(
-            part, rows, State.of(part, *motion), forces=_acting(forces, part, model),
+            part, rows, State.of(part, *motion), forces=divide_forces(forces, part, model),
             boundaries=boundaries,
             accumulators=self._of_all(accumulators), pairs=between, copies=copies, threads=threads,
             **options,
@@ -119,7 +119,7 @@ class ImmersedSolver:
         span = liquid_span(model)
         wet = replace(liquid_model(model, span), names=_names_of_liquid(model))
         self.liquid = LiquidSolver(
-            wet, liquid_state(state, span), forces=_acting(forces, wet, model),
+            wet, liquid_state(state, span), forces=divide_forces(forces, wet, model),
             boundaries=walls,
             ceiling=self.clock.ceiling, threads=threads, bodies=self.bodies,
             advance_bodies=weakly(self._advance_bodies), whole=model,
@@ -194,7 +194,7 @@ class ImmersedSolver:
         """
         self._accumulators = list(accumulators)
         of_liquid, of_bodies = (
-            _acting(forces, part.model, self.model) for part in (self.liquid, self.lattice)
+            divide_forces(forces, part.model, self.model) for part in (self.liquid, self.lattice)
         )
         self.liquid.bind(forces=of_liquid, boundaries=walls)
         sums = self._of_all(accumulators)
@@ -312,11 +312,6 @@ class ImmersedSolver:
         self.liquid.restore(snapshot["liquid"])
         self.pairs.restore(snapshot["pairs"])
         self._copy_state()
-
-
-def _acting(forces: Sequence[Any], part: Model, whole: Model) -> list[Any]:
-    parts = (force.in_part(part, whole) for force in forces)
-    return [force for force in parts if force is not None]
 
 
 def _names_of_liquid(model: Model) -> tuple[str, ...]:

@@ -103,9 +103,10 @@ class MixedSolver(Solver):
         self.bodies = Bodies(model, state, self.grids, self.free, work)
         self.bodies.pushed = pushed
         self._liquid = LiquidSolver(
-            part, liquid_state(state, span), forces=uniform, boundaries=walls, free=self.free.all,
-            ceiling=self.clock.ceiling, threads=threads, bodies=self.bodies,
-            advance_bodies=weakly(self._advance_bodies), whole=model,
+            part, liquid_state(state, span), forces=divide_forces(uniform, part, model),
+            boundaries=walls, free=self.free.all, ceiling=self.clock.ceiling, threads=threads,
+            bodies=self.bodies, advance_bodies=weakly(self._advance_bodies),
+            whole=model,
         )  # fmt: skip
         self._liquid.pairs = self.pairs
         assert isinstance(self.clock, MixedClock)
@@ -170,6 +171,7 @@ class MixedSolver(Solver):
         """
         if self._liquid is not None and self.bodies is not None:
             self.bodies.pushed = pushed
+            uniform = divide_forces(uniform, self._liquid.model, self.model)
             self._liquid.bind(forces=uniform, boundaries=walls)
             forces = [*forces, self.bodies]
         super().bind(forces=forces, **acting)
@@ -245,8 +247,15 @@ def liquid_model(model: Model, span: slice) -> Model:
         held=frozenset(),
         wet=frozenset(),
         names=(),
+        free_mass=0.0,
         least_stiffness=1.0,
     )
+
+
+def divide_forces(forces: Sequence[Any], part: Model, whole: Model) -> list[Any]:
+    """Return the forces that act on a part of a divided model, with the part's share of totals."""
+    parts = (force.in_part(part, whole) for force in forces)
+    return [force for force in parts if force is not None]
 
 
 def liquid_state(state: State, span: slice) -> State:

@@ -88,6 +88,8 @@ class Model:
     """Height of the surface of each body on a lattice and of each free solid, by name [m]. The
     integration points of a lattice lie below its surface, and free solids have no particles.
     """
+    free_mass: float = 0.0
+    """Total mass of the free solids [kg]. A part of a divided model has none."""
     whole: Model | None = None
     """The model of all bodies, if this model contains only some of them. Boundaries are placed
     relative to all bodies of the scene.
@@ -114,6 +116,7 @@ class Model:
         wet: Collection[int] = (),
         names: Sequence[str] = (),
         tops: Mapping[str, float] | None = None,
+        free_mass: float = 0.0,
         origin: Sequence[float] = (0.0, 0.0, 0.0),
         cfl: float = CFL,
         precision: str = "float32",
@@ -138,6 +141,7 @@ class Model:
             names: Names of the bodies, in the order of the indices.
             tops: Height of the surface of each body on a lattice and of each free solid, by name
                 [m]; None: there are no such bodies.
+            free_mass: Total mass of the free solids [kg].
             origin: Position of node (0, 0, 0) [m].
             cfl: Length of a substep as a fraction of the elastic limit, in (0, 1).
             precision: "float32" or "float64".
@@ -186,6 +190,7 @@ class Model:
             wet=frozenset(wet),
             names=tuple(names),
             tops=tops or {},
+            free_mass=free_mass,
             least_stiffness=1.0 if stiffness is None else float(np.min(stiffness)),
         )
 

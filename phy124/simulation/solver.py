@@ -87,6 +87,7 @@ def make_solver(setup: Setup, observers: Sequence[Observer]) -> AnySolver:
         wet=wet,
         names=names,
         tops=find_tops(names, surface, setup.free),
+        free_mass=sum(solid.mass for solid in setup.free),
         held=still,
         origin=(0.0, 0.0, (floors[0] if floors else 0.0) - FLOOR_NODE * scene.dx),
         cfl=scene.resolution.fraction,
