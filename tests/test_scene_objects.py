@@ -327,7 +327,10 @@ def test_live_grab_and_its_session_take_the_same_object():
         count = len(item.gaussians)  # the clip has grains besides, since the box is torn
         assert np.array_equal(item.gaussians.means, clip.means[index, :count])
     assert np.array_equal(np.unique(clip.object_id[count:]), [1])
-    for wrong, said in (("cat", "no such object"), ("box", "nearest point")):
+    for wrong, said in (
+        ("cat", r"no such object\. Choose one of: ball, box\."),
+        ("box", "nearest point"),
+    ):
         with pytest.raises(InputError, match=said):
             live.grab(live.centres["ball"].tolist(), object=wrong, radius=0.1)
 

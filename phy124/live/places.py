@@ -252,7 +252,8 @@ def _object_number(scene: Scene, field: str, name: str | None) -> int | None:
     if name is None:
         return None
     if name not in scene.names:
-        raise InputError(field, name, "there is no such object.", f"({', '.join(scene.names)})")
+        names = ", ".join(scene.names[number] for number in _list_movable(scene))
+        raise InputError(field, name, "there is no such object.", f"Choose one of: {names}.")
     number = scene.names.index(name)
     if scene.every_object[number].scenery:
         limit = "it has no particles to hold."

@@ -246,11 +246,16 @@ def find_pair(pairs: Sequence[Pair], first: str, second: str) -> Pair:
     return min(fitting, key=lambda pair: pair.between.count(ANY), default=Pair())
 
 
-def check_name(name: str, names: Sequence[str]) -> None:
-    """Check that an object of this name exists.
+def check_name(name: str, names: Sequence[str], solids: Sequence[str] = ()) -> None:
+    """Check that an object of this name exists, and that it is none of the rigid `solids`.
 
     Raises:
-        ValueError: No object has this name.
+        ValueError: No object has this name, or the object is a rigid solid.
     """
+    if name in solids:
+        raise ValueError(
+            f"{name} is a rigid solid, on which no force or boundary acts alone; "
+            f"remove `object`, or choose one of: {', '.join(names)}"
+        )
     if name not in names:
         raise ValueError(f"no object is called {name}; there are {', '.join(names)}")

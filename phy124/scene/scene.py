@@ -124,9 +124,10 @@ class Scene(Section):
         check_free(self.every_object, self.boundaries)
         check_pairs(self.pairs, self.names)
         moving = [item.name for item in self.every_object if not item.scenery]
+        solids = [item.name for item in self.every_object if item.scenery]
         for section in (*self.forces, *self.boundaries):
             if section.object is not None:
-                check_name(section.object, moving)
+                check_name(section.object, moving, solids)
         return self
 
     def _check_energy(self) -> None:
