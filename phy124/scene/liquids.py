@@ -73,8 +73,8 @@ def _obstacles(scene: Any, *, mixes: bool) -> Iterator[tuple[str, object, str]]:
             limit = "boundaries that act on a single object"
             yield f"boundaries.{index}.object", wall.object, limit
     if scene.keeps_contacts:
-        asked = ("contacts", "true") if scene.contacts else ("view.outputs", "force")
-        yield *asked, "forces of walls on single particles"
+        field, value = ("contacts", "true") if scene.contacts else ("view.outputs", "force")
+        yield field, value, "forces of walls on single particles"
     if scene.stiffness_profile is not None and not mixes:
         yield "stiffness_profile", scene.stiffness_profile.kind, "a stiffness that changes"
 

@@ -32,7 +32,7 @@ MOST = 0.1
 class Buried(NamedTuple):
     """A wall that contains material at the start."""
 
-    index: int
+    number: int
     """Index of the wall among the scene's boundaries."""
     kind: str
     material: str
@@ -85,8 +85,8 @@ def refuse_buried(scene: Scene, model: Model) -> None:
         if wall.fraction > MOST:
             limit = f"{wall.what}; a wall stops the material, but does not push it out."
             remedy = "Move the wall, or move the object (place, lift)."
-            after = wall.index - (len(scene.boundaries) - len(led))
-            field = f"boundaries.{wall.index}" if after < 0 else f"objects.{led[after]}"
+            after = wall.number - (len(scene.boundaries) - len(led))
+            field = f"boundaries.{wall.number}" if after < 0 else f"objects.{led[after]}"
             raise InputError(field, wall.kind, limit, remedy)
 
 
