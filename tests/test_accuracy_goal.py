@@ -15,6 +15,8 @@ from phy124.scene import Scene
         ("3mm", "metres", 0.003),
         ("1.5cm", "metres", 0.015),
         ("0.1 m", "metres", 0.1),
+        ("1e9px", "pixels", 1e9),
+        ("1.5E-1mm", "metres", 1.5e-4),
     ],
 )
 def test_an_error_is_read_with_its_unit(text, kind, value):
@@ -22,7 +24,9 @@ def test_an_error_is_read_with_its_unit(text, kind, value):
     assert (goal.kind, goal.value) == (kind, pytest.approx(value))
 
 
-@pytest.mark.parametrize("text", ["", "2", "px", "-1px", "0%", "1e3mm", "2 miles", "nan%"])
+@pytest.mark.parametrize(
+    "text", ["", "2", "px", "-1px", "0%", "1e400mm", "e3mm", "2 miles", "nan%"]
+)
 def test_other_texts_are_refused_with_an_example(text):
     with pytest.raises(InputError, match="2px, 1% or 3mm"):
         Goal.error(text)

@@ -374,7 +374,7 @@ def scene(**changes) -> Scene:
         ),
         ({"boundaries": [{"kind": "sphere"}]}, "pass through the boundary sphere. Use ground"),
         ({"objects": [{**FREE, "motion": {"kind": "free", "density": 0}}]}, "density"),
-        ({"forces": [{"kind": "gravity", "object": "box"}]}, "box is a rigid solid, on which"),
+        ({"forces": [{"kind": "gravity", "object": "box"}]}, "box has no particles, so that"),
     ],
 )
 def test_obstacles_that_ignore_free_solids_are_refused(changes, said):

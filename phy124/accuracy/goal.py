@@ -39,9 +39,9 @@ class Goal:
         """Parse a maximum error such as "2px", "1%" or "3mm".
 
         Raises:
-            InputError: The text is not a positive number with a unit.
+            InputError: The text is not a positive, finite number with a unit.
         """
-        match = re.fullmatch(r"\s*([0-9]*\.?[0-9]+)\s*(px|%|mm|cm|m)\s*", text)
+        match = re.fullmatch(r"\s*([0-9]*\.?[0-9]+(?:[eE][+-]?[0-9]+)?)\s*(px|%|mm|cm|m)\s*", text)
         units: dict[str, tuple[Kind, float]] = {
             "px": ("pixels", 1.0),
             "%": ("fraction", 0.01),
@@ -49,9 +49,9 @@ class Goal:
             "cm": ("metres", 1e-2),
             "m": ("metres", 1.0),
         }
-        if not match or float(match[1]) <= 0:
-            remedy = "Write 2px, 1% or 3mm, for example."
-            raise InputError("max_error", text, "it is not a positive number with a unit.", remedy)
+        if not match or not 0 < float(match[1]) < math.inf:
+            limit = "it is not a positive, finite number with a unit."
+            raise InputError("max_error", text, limit, "Write 2px, 1% or 3mm, for example.")
         kind, scale = units[match[2]]
         return cls(kind, float(match[1]) * scale, text.strip())
 

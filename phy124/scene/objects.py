@@ -247,14 +247,15 @@ def find_pair(pairs: Sequence[Pair], first: str, second: str) -> Pair:
 
 
 def check_name(name: str, names: Sequence[str], solids: Sequence[str] = ()) -> None:
-    """Check that an object of this name exists, and that it is none of the rigid `solids`.
+    """Check that an object of this name exists, and that it is none of `solids`, which have no
+    particles.
 
     Raises:
-        ValueError: No object has this name, or the object is a rigid solid.
+        ValueError: No object has this name, or the object has no particles.
     """
     if name in solids:
         raise ValueError(
-            f"{name} is a rigid solid, on which no force or boundary acts alone; "
+            f"{name} has no particles, so that no force or boundary acts on it alone; "
             f"remove `object`, or choose one of: {', '.join(names)}"
         )
     if name not in names:
