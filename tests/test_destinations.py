@@ -7,11 +7,15 @@ import threading
 
 import pytest
 
+from phy124 import pipeline
 from phy124.__main__ import main
 from phy124.errors import InputError
 from phy124.io.files import move_to, replacing, staging
+from phy124.io.ply import write_ply
 from phy124.io.sequence import write_sequence
 from support.clips import random_clip
+from support.runs import SCENE
+from support.shapes import ball
 
 ROOT = hasattr(os, "geteuid") and os.geteuid() == 0
 
@@ -155,3 +159,29 @@ def test_a_cut_out_follows_a_link_on_the_command_line(tmp_path, capsys):
     assert main(["cutout", "demo/examples/duck.png", "--out", str(tmp_path / "link.png")]) == 0
     assert (tmp_path / "link.png").is_symlink()
     assert (tmp_path / "real.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize("name", ["gaussians.ply", "clip.safetensors", "report.json", "left.mp4"])
+def test_a_folder_with_the_name_of_a_result_is_refused_before_the_run(name, tmp_path):
+    (tmp_path / name).mkdir()
+    scene = SCENE.replaced({"view.views": ["left"], "view.formats": ["mp4"]})
+    ran = []
+    with pytest.raises(InputError, match=f"{name}: it is a folder"):
+        pipeline.simulate(ball(300), scene, tmp_path, each=lambda *_: ran.append(1))
+    assert not ran and names(tmp_path) == [name]
+
+
+def test_commands_do_not_replace_the_file_that_they_read(tmp_path, capsys):
+    picture, gaussians = tmp_path / "cutout.png", tmp_path / "gaussians.ply"
+    picture.write_bytes(b"picture")
+    write_ply(gaussians, ball(300))
+    before = gaussians.read_bytes()
+    for command in (
+        ["cutout", picture, "--out", picture],
+        ["convert", gaussians, gaussians],
+        ["simulate", gaussians, "--scene", "press", "--out", tmp_path],
+        ["generate", picture, "--scene", "press", "--out", tmp_path],
+    ):
+        assert main([*map(str, command)]) == 2
+        assert "It is the name of a file that this command reads" in capsys.readouterr().err
+    assert picture.read_bytes() == b"picture" and gaussians.read_bytes() == before

@@ -15,7 +15,7 @@ from phy124.generators.mesh import load_pieces
 from phy124.generators.ply_file import Reading
 from phy124.io.clip import Clip
 from phy124.io.content import Content
-from phy124.io.files import resolve_links
+from phy124.io.files import refuse_replacing
 from phy124.io.formats import (
     Format,
     find_written_format,
@@ -68,6 +68,7 @@ class Convert:
         """
         chosen = find_written_format(self.out, self.to)
         _refuse_other_ending(self.out, chosen)
+        refuse_replacing(self.out, [self.file])
         content = read_gaussians(
             self.file, up=self.up, front=self.front, dialect=self.dialect, rotate=self.rotate
         )
@@ -117,7 +118,7 @@ class Export:
         if self.to == "frames":
             return self._write_values()
         chosen = self._find_format()
-        self._refuse_replacing(self.out or self.clip.with_suffix(chosen.suffix))
+        refuse_replacing(self.out or self.clip.with_suffix(chosen.suffix), self._list_read())
         if self.out is not None and not self.all:
             _refuse_other_ending(self.out, chosen)
         clip = Clip.load(self.clip)
@@ -151,18 +152,15 @@ class Export:
                 limit = "--to frames writes all frames and all Gaussians."
                 raise InputError(name, value, limit, "Remove this option.")
         path = self.out or self.clip.with_name(f"{self.clip.stem}-frames.safetensors")
-        self._refuse_replacing(path)
+        refuse_replacing(path, self._list_read())
         clip = Clip.load(self.clip)
         with Bars(quiet=self.json) as bars:
             write_frames_clip(path, clip, bars)
         print(json.dumps({"files": [str(path)]}) if self.json else path)
         return 0
 
-    def _refuse_replacing(self, path: Path) -> None:
-        read = [each for each in (self.clip, self.surface) if each is not None]
-        if resolve_links(path) in [resolve_links(each) for each in read]:
-            limit = "It is the name of a file that the export reads."
-            raise InputError("out", path, limit, "Give another name by --out.")
+    def _list_read(self) -> list[Path]:
+        return [path for path in (self.clip, self.surface) if path is not None]
 
     def _write(self, clip: Clip, chosen: Format, bars: Bars) -> list[Path]:
         if self.frame is None and chosen.write_clip is not None:

@@ -20,7 +20,7 @@ from phy124.generators.options import Effort, GeneratorOptions
 from phy124.generators.ply_file import Reading
 from phy124.imaging.cutout import Cutout, cut_out, title_of
 from phy124.imaging.cutting import Cutting
-from phy124.io.files import replacing
+from phy124.io.files import refuse_replacing, replacing
 from phy124.runtime.installation import with_program
 from phy124.runtime.isolated import Deadline
 from phy124.schema.section import Section
@@ -60,12 +60,14 @@ class CutOut:
 
         Raises:
             InputError: The picture cannot be read, or the output's name does not end in .png or
-                .webp.
+                .webp, or is that of a file that the command reads.
         """
         out = self.out or Path("out") / f"{self.image.stem}-cutout.png"
         if out.suffix.lower() not in KINDS:
             limit = "A cut-out needs a format with transparency."
             raise InputError("out", out, limit, "Use a name that ends in .png or .webp.")
+        mask = self.options.mask
+        refuse_replacing(out, [self.image, *([] if mask is None else [mask])])
         with ExitStack() as stack:
             try:
                 if self.out is None:

@@ -214,6 +214,7 @@ class Simulate:
             with pipeline.staging(out):
                 return self._predict(file, scene, study)
         # A folder that cannot be used is refused before any work.
+        pipeline.refuse_folder(out, scene.view, [Path(path) for path in (self.file, *self.more)])
         with Bars(quiet=self.options.json, keeps=True) as bars, pipeline.staging(out):
             context = self.options.context(bars)
             needed = kernels(scene, context.device)

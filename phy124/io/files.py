@@ -10,7 +10,7 @@ import secrets
 import shutil
 import stat
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -283,6 +283,13 @@ def remove_empty(folders: list[Path]) -> None:
 def refuse_unwritable(path: PathLike) -> None:
     """Raise InputError if `replacing` cannot write to a path; an existing file is not changed."""
     _create(Path(path)).unlink()
+
+
+def refuse_replacing(path: Path, read: Iterable[Path]) -> None:
+    """Raise InputError if a path for writing is that of a file that the command reads."""
+    if resolve_links(path) in [resolve_links(each) for each in read]:
+        limit = "It is the name of a file that this command reads."
+        raise InputError("out", path, limit, "Give another name for the output.")
 
 
 def _create(path: Path) -> Path:

@@ -33,6 +33,7 @@ from phy124.pipeline.gaussians import with_others as with_others
 from phy124.pipeline.run_folder import CUTOUT, PAUSE, RunFolder
 from phy124.pipeline.run_folder import Result as Result
 from phy124.pipeline.run_folder import playback as playback
+from phy124.pipeline.run_folder import refuse_folder as refuse_folder
 from phy124.pipeline.run_folder import view_report as view_report
 from phy124.pipeline.run_folder import write_json as write_json
 from phy124.rendering.film import cameras as cameras
@@ -90,8 +91,10 @@ def generate(
     context = RunContext.pop(context, making)
     refuse_threads(context.threads)
     refuse_missing(scene)
-    check_sources(scene, split(image)[1])
+    first, more = split(image)
+    check_sources(scene, more)
     refuse_unfilmable(scene)
+    refuse_folder(Path(out), scene.view, [Path(path) for path in (first, *more)])
     with staging(out):  # An unusable folder is refused before any work.
         with looking_up(kernels(scene, context.device), context.device):
             made = make_gaussians(image, scene, context, **making)
@@ -159,6 +162,7 @@ def simulate(
     refuse_missing(scene)
     if films:
         refuse_unfilmable(scene)
+    refuse_folder(Path(out), scene.view if films else None)
     png = None if cutout is None else cutout.png()
     folder = RunFolder(
         Path(out), context, dict(about or {}), keep, png, films=films, rescues=rescues, error=error

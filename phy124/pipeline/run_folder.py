@@ -7,7 +7,7 @@ import json
 import platform
 import shutil
 import tempfile
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
@@ -20,7 +20,7 @@ from phy124.accuracy.forecast import Forecast
 from phy124.accuracy.promises import promise, why_broken
 from phy124.errors import Cancelled, Incomplete, InputError
 from phy124.io.clip import Clip, restate
-from phy124.io.files import deliver, replacing, write_whole
+from phy124.io.files import deliver, refuse_replacing, replacing, write_whole
 from phy124.io.files import staging as staging
 from phy124.io.growing import Growing
 from phy124.io.ply import write_ply
@@ -29,7 +29,7 @@ from phy124.pipeline import resume
 from phy124.pipeline.recording import PAUSE as PAUSE
 from phy124.pipeline.recording import Recording, sweep
 from phy124.rendering.film import cameras as cameras
-from phy124.rendering.film import describe_playback, film_notes
+from phy124.rendering.film import describe_playback, film_notes, name_files
 from phy124.rendering.film import film as film
 from phy124.rendering.film import playback as playback
 from phy124.rendering.framing import describe_framing
@@ -326,6 +326,26 @@ def list_results(folder: Path) -> set[str]:
         return {name for name in names if isinstance(name, str) and _is_plain(name)}
     except (OSError, ValueError, RecursionError, AttributeError, TypeError):
         return set()
+
+
+def refuse_folder(out: Path, view: View | None, read: Sequence[Path] = ()) -> None:
+    """Refuse an output folder before a run starts.
+
+    Args:
+        out: The folder.
+        view: The view whose videos are written; None: no videos.
+        read: Files that the run reads, and must not replace.
+
+    Raises:
+        InputError: A folder has the name of a result, or a result has the name of a file in `read`.
+    """
+    names = {CLIP, SCENE, PLY, CUTOUT, REPORT} | (set() if view is None else name_files(view))
+    for name in sorted(names):
+        if (out / name).is_dir():
+            limit = "it is a folder, but a result of the run has this name."
+            raise InputError("out", out / name, limit, "Remove it, or choose another folder.")
+    for name in sorted(names | list_results(out)):
+        refuse_replacing(out / name, read)
 
 
 def remove_results(folder: Path, names: Iterable[str]) -> None:

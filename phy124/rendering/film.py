@@ -334,6 +334,13 @@ EXPORTS: dict[str, Callable[[Clip, View, Path, Progress], Path]] = {
 """Functions that write the whole clip, and return the path of the file or folder."""
 
 
+def name_files(view: View) -> set[str]:
+    """Return the names of the files, without the folders, that `film` writes."""
+    exports = {"usd": "clip.usdc", "html": "clip.html"}
+    videos = {f"{side}.{name}" for name in PLAYED.intersection(view.formats) for side in view.sides}
+    return videos | {exports[name] for name in view.formats if name in exports}
+
+
 def playback(fps: float, view: View) -> float:
     """Return the frame rate [1/s] of the video of a clip that has `fps` frames per second."""
     return view.fps or fps * view.speed
