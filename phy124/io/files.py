@@ -286,7 +286,11 @@ def refuse_unwritable(path: PathLike) -> None:
 
 
 def refuse_replacing(path: Path, read: Iterable[Path]) -> None:
-    """Raise InputError if a path for writing is that of a file that the command reads."""
+    """Refuse to write to the path of a file that the command reads.
+
+    Raises:
+        InputError: `path` is one of the files in `read`.
+    """
     if resolve_links(path) in [resolve_links(each) for each in read]:
         limit = "It is the name of a file that this command reads."
         raise InputError("out", path, limit, "Give another name for the output.")
