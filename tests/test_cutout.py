@@ -2,6 +2,7 @@
 
 import time
 
+import cv2
 import numpy as np
 import pytest
 from PIL import Image
@@ -292,6 +293,17 @@ def test_wrong_cutout_is_doubted(monkeypatch):
     assert "touches 3 edges of the picture (left, right, bottom)" in warning
     assert "outline runs where the picture has no edge" in warning
     assert result.data()["warnings"] == list(result.warnings)
+
+
+def test_an_outline_that_follows_sharp_edges_is_seen(monkeypatch):
+    """The cleaned rim has the colour of the object, also outside."""
+    solid = np.zeros((128, 128), bool)
+    solid[32:96, 32:96] = True
+    grey = np.where(solid, 12, 233).astype(np.uint8)
+    alpha = cv2.GaussianBlur(255 * solid.astype(np.uint8), (0, 0), 2)
+    monkeypatch.setitem(METHODS, "grabcut", Method(lambda _: True, lambda *_: alpha))
+    result = foreground(Image.fromarray(np.dstack([grey] * 3)), "grabcut")
+    assert result.unseen < 0.05
 
 
 def two_coloured(beside):

@@ -246,11 +246,13 @@ def foreground(
     _check_fraction(alpha, method, frames)
     searched = pick is None and method not in TAKEN_WHOLE
     touching = searched and split_touching(np.asarray(image.convert("RGB")), alpha) is not None
+    original = _flatten(image, method).convert("RGB")
     image.putalpha(Image.fromarray(alpha))
     cut = image if method == "alpha" else clean_edge(image, alpha)
     rgb, solid = np.asarray(cut.convert("RGB")), np.asarray(cut)[..., 3] > 127
     notes = (*notes, *find_hollow(rgb, solid))
-    return replace(examine(cut, method, frames, count), touching=touching, notes=notes)
+    measured = examine(cut, method, frames, count, original=original)
+    return replace(measured, touching=touching, notes=notes)
 
 
 def clean_edge(image: Image.Image, alpha: Alpha) -> Image.Image:
@@ -266,7 +268,14 @@ def title_of(method: str) -> str:
     return known or method
 
 
-def examine(picture: Image.Image, method: str, frames: int = 1, objects: int = 1) -> Cutout:
+def examine(
+    picture: Image.Image,
+    method: str,
+    frames: int = 1,
+    objects: int = 1,
+    *,
+    original: Image.Image | None = None,
+) -> Cutout:
     """Measure how plausible a cut-out is.
 
     Args:
@@ -274,7 +283,10 @@ def examine(picture: Image.Image, method: str, frames: int = 1, objects: int = 1
         method: Name of a method in `METHODS`, or "mask" or "brush".
         frames: Number of frames of an animation.
         objects: Number of separate objects in the image.
+        original: The image before its soft edge was cleaned, in which edges are searched; None:
+            `picture`.
     """
+    edges = np.asarray((original or picture).convert("RGB"))
     rgb, alpha = np.split(np.asarray(picture), (3,), axis=2)
     solid = alpha[..., 0] > 127
     return Cutout(
@@ -283,7 +295,7 @@ def examine(picture: Image.Image, method: str, frames: int = 1, objects: int = 1
         coverage=float(solid.mean()),
         pieces=count_pieces(solid),
         touches=find_touched_edges(solid),
-        unseen=measure_unseen(rgb, solid),
+        unseen=measure_unseen(edges, solid),
         alike=measure_alike(rgb, solid),
         undecided=measure_undecided(alpha[..., 0]),
         frames=frames,

@@ -210,7 +210,8 @@ def overlap_of(alpha: Alpha, known: Known) -> float:
 
 def cut(rgb: NDArray[np.uint8], alpha: Alpha, method: str, objects: int) -> Cutout:
     """As `phy124.imaging.cutout.foreground` gives it."""
-    return examine(clean_edge(Image.fromarray(rgb), alpha), method, 1, objects)
+    original = Image.fromarray(rgb)
+    return examine(clean_edge(original, alpha), method, 1, objects, original=original)
 
 
 def share_of_ground(known: Known, shown: NDArray[np.uint8], alpha: Alpha) -> float:
