@@ -1,5 +1,6 @@
 """Fits: the search on a formula, its refusals and intervals; slow ones on runs of scenes."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import cast
 
@@ -13,7 +14,9 @@ from phy124.gaussians import Gaussians
 from phy124.imaging.painted import WHOLE
 from phy124.io.ply import write_ply
 from phy124.progress import silent
+from phy124.runtime.context import RunContext
 from phy124.scene import Scene
+from phy124.simulation import Simulation, prepare
 from phy124.studies.fit.budget import Budget, Outlook
 from phy124.studies.fit.declaration import Fit, parse_ranges
 from phy124.studies.fit.estimate import estimate
@@ -34,6 +37,7 @@ from phy124.studies.fit.search import refine
 from phy124.studies.fit.target import Target
 from support.clips import falling
 from support.pages import PAGES, blocks
+from support.shapes import ball
 
 POINTS, INSTANTS = 20, np.linspace(0, 2, 25)
 TRUTH = np.array([0.6, 0.35])
@@ -207,6 +211,8 @@ def test_ranges(text, kind):
         ({"find": {"material.E": "1e6..1e4"}}, "not smaller"),
         ({"find": {"material.E": "soft"}}, "not a range"),
         ({"find": {}}, "find"),
+        ({"find": {"time.frames": "1..5"}}, r"time\.frames is a setting of the run"),
+        ({"find": {"accuracy.cells": "8..16"}}, r"accuracy\.cells is a setting of the run"),
         ({"find": {"material.E": "1..2"}, "grids": [24, 16]}, "finer"),
         ({"find": {"material.E": "1..2"}, "secondes": 3}, "secondes"),
     ],
@@ -282,6 +288,19 @@ def test_points_off_the_object_or_late_are_refused():
         Points(tracked(np.zeros((2, 3)), np.array([0, 0.1]), ["a", "b"]), rest)
     with pytest.raises(InputError, match="have the same time"):
         Points(tracked(np.zeros((1, 3)), np.zeros(1), ["a"]), rest)
+
+
+def test_points_of_a_clip_need_enough_gaussians_or_its_object(tmp_path):
+    still = Scene.from_data({"accuracy": {"cells": 4}, "time": {"frames": 2}, "boundaries": []})
+    path, flat = str(tmp_path / "clip.safetensors"), str(tmp_path / "flat.ply")
+    Simulation(prepare(ball(400), still, RunContext(threads=1))).run().save(path)
+    whole = ball(400)
+    write_ply(flat, replace(whole, means=whole.means * np.float32([1, 1, 0.1])))
+    find = {"material.E": "1e4..1e5"}
+    with pytest.raises(InputError, match=r"away from the object.* Give more --gaussians\."):
+        Target(Fit.from_data({"target": path, "find": find, "gaussians": 8}))
+    with pytest.raises(InputError, match=r"away from the object.* Remove --object, or"):
+        Target(Fit.from_data({"target": path, "find": find, "object": flat}))
 
 
 def test_between_frames_a_spline_is_read():

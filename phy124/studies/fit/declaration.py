@@ -13,6 +13,8 @@ from phy124.schema.refusals import validate
 from phy124.schema.section import Section
 from phy124.studies.sweep.declaration import LogUniform, Uniform
 
+SETTINGS = ("accuracy", "checks", "seed", "time", "view")
+"""Fields of a scene that describe the computation and the pictures, not the observed motion."""
 DECADE = 10.0
 """Smallest ratio of a range's ends at which the range is sampled logarithmically."""
 
@@ -91,6 +93,17 @@ class Fit(Section):
     """Maximum duration of the fit [s]."""
     seed: int = Field(default=0, ge=0, le=2**31 - 1)
     """Seed of the random numbers that the search and the bootstrap of the intervals use."""
+
+    @field_validator("find")
+    @classmethod
+    def _observable(cls, find: dict[str, Range]) -> dict[str, Range]:
+        for path in find:
+            if path.partition(".")[0] in SETTINGS:
+                raise ValueError(
+                    f"{path} is a setting of the run, not a property of the observed motion; "
+                    "choose a value of a material, a force, a boundary or an object"
+                )
+        return find
 
     @field_validator("grids")
     @classmethod

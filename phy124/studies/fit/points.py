@@ -14,6 +14,11 @@ NEIGHBOURS = 4
 """Number of Gaussians whose weighted mean predicts the position of a point."""
 FAR = 0.2
 """Maximum distance between a point and the object, as a fraction of the object's size."""
+PLACES = (
+    "Give positions in the scene (metres, z up, the object over the origin), or in the pictures of "
+    "--side (pixels)."
+)
+"""Remedy for points of a file that are far from the object."""
 FEW = 8
 """Below this number of points, errors at different times are treated as independent."""
 
@@ -25,11 +30,21 @@ class Points:
     subtracted, because an error in the first measurement would shift the whole predicted track.
     """
 
-    def __init__(self, table: Table, rest: Values, cameras: Sequence[Camera] | None = None) -> None:
+    def __init__(
+        self,
+        table: Table,
+        rest: Values,
+        cameras: Sequence[Camera] | None = None,
+        *,
+        remedy: str = PLACES,
+    ) -> None:
         """Attach measured points (x, y, z in metres, or u, v in pixels) to the object's Gaussians.
 
-        `rest` [N,3] are the Gaussians' centres in the first frame [m]. Positions in pixels need a
-        camera for each frame.
+        Args:
+            table: The measured positions.
+            rest: Centres of the Gaussians in the first frame [N,3], m.
+            cameras: Camera of each frame, for positions in pixels.
+            remedy: Remedy in the message about a point that is far from the object.
 
         Raises:
             InputError: A point is missing at the first time, or is not on the object.
@@ -39,7 +54,10 @@ class Points:
         names, self._track = np.unique(table.names, return_inverse=True)
         self._times, self.last = table.times, float(table.times.max())
         first = _first(table, names, self._track)
-        chosen = _nearest(first, rest) if cameras is None else _seen(first, rest, cameras[0])
+        if cameras is None:
+            chosen = _nearest(first, rest, remedy)
+        else:
+            chosen = _seen(first, rest, cameras[0], remedy)
         self.chosen, self.weights = chosen
         width = table.values.shape[1]
         self.measured = self._shape(table.values)
@@ -83,18 +101,20 @@ def _first(table: Table, names: NDArray[np.str_], track: NDArray) -> Values:
     return np.stack([places[number] for number in range(len(names))])
 
 
-def _nearest(first: Values, rest: Values) -> tuple[NDArray[np.int64], Values]:
+def _nearest(first: Values, rest: Values, remedy: str) -> tuple[NDArray[np.int64], Values]:
     """Return the Gaussians nearest to each of K points, and weights [K,NEIGHBOURS]."""
-    distance, chosen, size = _query(rest, first, NEIGHBOURS, "of the object's size")
+    distance, chosen, size = _query(rest, first, NEIGHBOURS, "of the object's size", remedy)
     weights = 1 / (distance + 1e-6 * size)
     return chosen, weights / weights.sum(1, keepdims=True)
 
 
-def _seen(first: Values, rest: Values, camera: Camera) -> tuple[NDArray[np.int64], Values]:
+def _seen(
+    first: Values, rest: Values, camera: Camera, remedy: str
+) -> tuple[NDArray[np.int64], Values]:
     """Return the visible Gaussians nearest to each point's pixel, and weights [K,NEIGHBOURS]."""
     pixels, depth = camera.project(rest)
     of_what = "of the object's size in the picture"
-    distance, near, _ = _query(pixels, first, 8 * NEIGHBOURS, of_what)
+    distance, near, _ = _query(pixels, first, 8 * NEIGHBOURS, of_what, remedy)
     deep = depth[near]
     front = deep <= deep.min(1, keepdims=True) + np.median(np.ptp(deep, axis=1)) / 4
     order = np.argsort(np.where(front, distance, np.inf), axis=1)[:, :NEIGHBOURS]
@@ -104,7 +124,7 @@ def _seen(first: Values, rest: Values, camera: Camera) -> tuple[NDArray[np.int64
 
 
 def _query(
-    rest: Values, first: Values, count: int, of_what: str
+    rest: Values, first: Values, count: int, of_what: str, remedy: str
 ) -> tuple[Values, NDArray[np.int64], float]:
     """Return distances and indices of the Gaussians nearest to K points [K,count], and the object's
     size.
@@ -118,9 +138,5 @@ def _query(
     worst = float(distance[:, 0].max() / size)
     if worst > FAR:
         limit = f"a point is {worst:.2g} {of_what} away from the object at the first time."
-        remedy = (
-            "Give positions in the scene (metres, z up, the object over the origin), or in the "
-            "pictures of --side (pixels)."
-        )
         raise InputError("target", f"{len(distance)} points", limit, remedy)
     return distance, near, size

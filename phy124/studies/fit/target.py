@@ -121,7 +121,12 @@ class Target:
                 first = self.rest.frame(0).gaussians
                 self.film, self.laid = align_film(self.film, first, self.seen_by()[0])
             return Silhouettes(self.film, self.times_of(self.film), self.seen_by())
-        table = _tracks(clip) if clip is not None else table
+        if clip is not None:
+            few = self.declared.gaussians is not None
+            remedy = (
+                "Give more --gaussians." if few else "Remove --object, or give the clip's object."
+            )
+            return Points(_tracks(clip), rest, remedy=remedy)
         assert table is not None
         return Points(table, rest, self.seen_by() if "u" in table.columns else None)
 
