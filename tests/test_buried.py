@@ -22,8 +22,8 @@ def run(**changes) -> Simulation:
     ("walls", "kind"),
     [
         ([{"kind": "ground", "height": 0.8}], "ground"),
-        ([DOWN], "halfspace"),
-        ([DOWN, UP], "halfspace"),
+        ([DOWN], "half_space"),
+        ([DOWN, UP], "half_space"),
         (
             [{"kind": "container", "inside": {"lower": [-0.1, -0.1, 0], "upper": [0.1, 0.1, 2]}}],
             "container",
@@ -53,7 +53,19 @@ def test_a_little_inside_a_wall_is_noted_and_touching_is_not():
     assert not any("starts inside" in note for note in resting.report()["notes"])
     deep = run(**{"object.lift": 0.0, "boundaries": [{"kind": "ground", "height": 0.12}]})
     (note,) = (note for note in deep.report()["notes"] if "starts inside" in note)
-    assert note.startswith("The ground: ") and "and stays there" in note
+    assert note.startswith("The ground: 4.") and "and is pushed out" in note
+    accuracy = {"accuracy": {**QUICK["accuracy"], "solver": "mpm"}}
+    walls = {"boundaries": [{"kind": "ground", "height": 0.12}]}
+    mpm = run(**accuracy, **walls, **{"object.lift": 0.0})
+    assert any("and stays there" in note for note in mpm.report()["notes"])
+
+
+def test_all_sides_of_a_container_count_together():
+    """Each of the four sides contains less than a tenth of the ball."""
+    sides = {"lower": [-0.35, -0.35, -1], "upper": [0.35, 0.35, 2]}
+    with pytest.raises(InputError) as refused:
+        run(boundaries=[{"kind": "container", "inside": sides}])
+    assert "inside it at x_low, x_high, y_low, y_high, up to" in str(refused.value)
 
 
 def test_a_small_object_inside_a_wall_is_refused():

@@ -8,6 +8,7 @@ import pytest
 from phy124.boundaries import Ground, HalfSpace, Held
 from phy124.boundaries.motion import Path
 from phy124.forces import Gravity
+from phy124.generators.shapes import make_shape
 from phy124.kernels.free.numbers import VELOCITY
 from phy124.kernels.lattice.contact import MOMENT
 from phy124.kernels.work import IMPULSE, MOVED, WORK
@@ -226,6 +227,24 @@ def test_clamp_keeps_nodes_that_an_overlapping_clamp_releases():
     assert np.abs(solver.nodes_state.u.numpy()[inside]).max() == 0
     taken = (solver.walls.sums.numpy() - before)[:, IMPULSE + 2]
     assert taken[0] < 0 < taken[2] and taken[1] == 0
+
+
+@pytest.mark.usefixtures("coarse_solids")
+def test_note_names_sides_of_a_container_and_no_contact_that_they_have():
+    sides = {"lower": [-0.4, -0.4, -1], "upper": [0.4, 0.4, 2]}
+    scene = Scene.from_data(
+        {
+            "material": {"law": "neo_hookean", "E": 1e5, "damping": 50.0},
+            "boundaries": [{"kind": "container", "inside": sides}],
+            "forces": [],
+            "accuracy": {"cells": 8, "solver": "lattice"},
+            "time": {"frames": 2},
+        }
+    )
+    cube = make_shape("box", (1, 1, 1), (0.5, 0.5, 0.5), count=500)
+    notes = Simulation(prepare(cube, scene, RunContext(threads=1))).run().report["notes"]
+    (note,) = (note for note in notes if "too little space" in note)
+    assert "boundaries container_x_low and container_" in note and "separate" not in note
 
 
 @pytest.mark.parametrize("contact", ["sticky", "separate"])

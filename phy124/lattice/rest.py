@@ -306,7 +306,7 @@ def _copies_in(copies: NDArray | None, span: slice) -> NDArray[np.int64] | None:
 
 def _add_to_nodes(
     weights: NDArray, of_points: NDArray, number: NDArray[np.int64], count: int
-) -> NDArray[np.float64]:
+) -> NDArray:
     """Distribute a quantity of the points [P] to the nodes `number` [C,27] of their cells [N]."""
     of_cells = (weights * of_points[:, None]).reshape(len(number), PER_CELL, 27).sum(axis=1)
     return np.bincount(number.ravel(), of_cells.ravel(), count)

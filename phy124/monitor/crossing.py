@@ -5,7 +5,7 @@ from typing import Any
 
 from phy124.boundaries import Boundary
 from phy124.monitor.observer import Observer, Subject, Violation
-from phy124.monitor.wrenches import wall_names
+from phy124.monitor.wrenches import simple_wall_names
 from phy124.mpm import Attachable
 
 DEEP = 0.5
@@ -27,8 +27,10 @@ class LatticeCrossing(Observer):
 
     def wrap_walls(self, walls: Sequence[Boundary], inner: Sequence[Attachable]) -> Any:
         """Return the walls unchanged; store the name of each simple wall."""
-        named = zip(wall_names(walls), walls, strict=True)
-        self._names = [name for name, wall in named if not wall.holds for _ in wall.parts()]
+        parts = [(wall.holds, part.contact) for wall in walls for part in wall.parts()]
+        named = zip(simple_wall_names(walls), parts, strict=True)
+        self._contacts = {name: contact for name, (holds, contact) in named if not holds}
+        self._names = list(self._contacts)
         return inner
 
     def after_attempt(self) -> Violation | None:
@@ -52,8 +54,10 @@ class LatticeCrossing(Observer):
                 f"Material was up to {self._deepest:.1f} cells inside the boundary {inside}. Start "
                 "the boundary outside the object, move it slowly, and keep it away from clamps."
             ]
+        remedy = "Move them so that they keep more distance"
+        if {self._contacts.get(name) for name in self._between} != {"separate"}:
+            remedy += ', or use contact = "separate", so that the material can escape'
         return [
             f"The boundaries {inside} and {touching} left too little space: material between them "
-            f"is up to {self._deepest:.1f} cells inside {inside}. Move them so that they keep more "
-            'distance, or use contact = "separate", so that the material can escape.'
+            f"is up to {self._deepest:.1f} cells inside {inside}. {remedy}."
         ]

@@ -220,12 +220,17 @@ def pair_names(solver: AnySolver) -> tuple[str, ...]:
     return (*pairs, *solver.free.names)
 
 
+def kind_of(wall: Boundary) -> str:
+    """Return a boundary's kind; without a kind, the name of its class in lower case."""
+    return str(getattr(wall, "kind", type(wall).__name__.lower()))
+
+
 def wall_names(walls: Sequence[Boundary]) -> list[str]:
     """Return a name for each boundary: its kind, with a number for repeated kinds."""
     counts: Counter[str] = Counter()
     names = []
     for wall in walls:
-        kind = str(getattr(wall, "kind", type(wall).__name__.lower()))
+        kind = kind_of(wall)
         counts[kind] += 1
         names.append(kind if counts[kind] == 1 else f"{kind}_{counts[kind]}")
     return names

@@ -14,6 +14,7 @@ from phy124.boundaries import Boundary
 from phy124.boundaries.planes import Plane
 from phy124.errors import InputError
 from phy124.lattice.clamps import distances
+from phy124.monitor.wrenches import kind_of
 from phy124.mpm import FreeBody, Model
 from phy124.particles import Particles
 from phy124.scene import Scene
@@ -26,28 +27,34 @@ thinner than a cell is completely inside another object, the two objects share a
 cells.
 """
 MOST = 0.1
-"""Largest fraction of the material that may start deeper than `DEEPEST` inside a wall."""
+"""Largest fraction of the material that may start inside a boundary, if some of this material is
+deeper than `DEEPEST`.
+"""
 
 
 class Buried(NamedTuple):
-    """A wall that contains material at the start."""
+    """A boundary that contains material at the start."""
 
     number: int
-    """Index of the wall among the scene's boundaries."""
+    """Index of the boundary among the scene's boundaries."""
     kind: str
+    sides: str
+    """Names of the boundary's simple walls that contain the material; empty if there is one."""
     material: str
     """Name of the material in a message. If there are several objects, it is the object's name."""
     fraction: float
-    """Fraction of the material more than `DEEPEST` cells behind the wall's surface."""
+    """Fraction of the material behind the boundary's surfaces."""
     depth: float
     """Depth of the deepest particle [m]."""
+    on_lattice: bool
+    """Whether the material is on a lattice. The boundary then pushes it out."""
 
     @property
     def what(self) -> str:
         """Describe the overlap, as a clause of a message."""
         return (
-            f"{self.fraction:.1%} of {self.material} starts inside it, up to {self.depth:.2g} m "
-            "deep"
+            f"{self.fraction:.1%} of {self.material} starts inside it{self.sides}, up to "
+            f"{self.depth:.2g} m deep"
         )
 
 
@@ -78,48 +85,70 @@ def refuse_buried(scene: Scene, model: Model) -> None:
     `scene` has a boundary for each object on a path, after all other boundaries.
 
     Raises:
-        InputError: More than the fraction `MOST` of an object starts inside a wall.
+        InputError: More than the fraction `MOST` of an object starts inside a boundary.
     """
     led = [number for number, item in enumerate(scene.objects) if item.path is not None]
-    for wall in find_buried(scene.boundaries, model):
+    for wall in find_buried(scene, model):
         if wall.fraction > MOST:
-            limit = f"{wall.what}; a wall stops the material, but does not push it out."
+            effect = "stops the material, but does not push it out"
+            if wall.on_lattice:
+                effect = "pushes the material out, which supplies energy"
+            limit = f"{wall.what}; a wall {effect}."
             remedy = "Move the wall, or move the object (place, lift)."
             after = wall.number - (len(scene.boundaries) - len(led))
             field = f"boundaries.{wall.number}" if after < 0 else f"objects.{led[after]}"
             raise InputError(field, wall.kind, limit, remedy)
 
 
-def notes(boundaries: Sequence[Boundary], model: Model) -> list[str]:
-    """Return a note for each wall that contains some material at the start."""
+def notes(scene: Scene, model: Model) -> list[str]:
+    """Return a note for each boundary that contains some material at the start."""
+    after = {
+        True: "is pushed out, which supplies energy. Move the wall or the object (place, lift).",
+        False: "stays there.",
+    }
     return [
-        f"The {wall.kind}: {wall.what}, and stays there." for wall in find_buried(boundaries, model)
+        f"The {wall.kind}: {wall.what}, and {after[wall.on_lattice]}"
+        for wall in find_buried(scene, model)
     ]
 
 
-def find_buried(boundaries: Sequence[Boundary], model: Model) -> Iterator[Buried]:
-    """Yield each wall and object, if material of the object starts deeper than `DEEPEST` in the
-    wall.
+def find_buried(scene: Scene, model: Model) -> Iterator[Buried]:
+    """Yield each boundary and object, if material of the object starts deeper than `DEEPEST` in the
+    boundary.
 
     A bounded solid with sticky contact is a clamp and may overlap the material.
     """
     moves = model.moves
-    for index, boundary in enumerate(boundaries):
-        for wall in boundary.parts():
-            if wall.contact == "sticky" and not isinstance(wall, Plane):
-                continue
-            track = wall.track(model)
-            shift = np.zeros(3) if track is None else track.values(np.zeros(1))[0]
-            names = [wall.object] if wall.object is not None else [*model.names] or [None]
-            for name in names:
-                chosen = model.named(name)
-                depth = wall.measure_depth(model.rest[chosen][moves[chosen]] - shift, model)
-                deep = depth > DEEPEST * model.dx
-                if deep.any():
-                    kind = type(boundary).__name__.lower()
-                    what = "the material" if len(model.names) < 2 else f"{name}"
-                    fraction, deepest = float(deep.mean()), float(depth.max())
-                    yield Buried(index, kind, what, fraction, deepest)
+    for index, boundary in enumerate(scene.boundaries):
+        parts = zip(boundary.part_names(), boundary.parts(), strict=True)
+        walls = [(n, w) for n, w in parts if w.contact != "sticky" or isinstance(w, Plane)]
+        if not walls:
+            continue
+        names = [boundary.object] if boundary.object is not None else [*model.names] or [None]
+        for name in names:
+            chosen = model.named(name)
+            x = model.rest[chosen][moves[chosen]]
+            depths = [wall.measure_depth(x - _start(wall, model), model) for _, wall in walls]
+            deep = [(depth > DEEPEST * model.dx).any() for depth in depths]
+            if any(deep):
+                depth = np.max(depths, axis=0)
+                sides = [side for (side, _), inside in zip(walls, deep, strict=True) if inside]
+                yield Buried(
+                    index,
+                    kind_of(boundary),
+                    f" at {', '.join(sides)}" if len(walls) > 1 else "",
+                    "the material" if len(model.names) < 2 else f"{name}",
+                    float((depth > 0).mean()),
+                    float(depth.max()),
+                    scene.on_lattices[0 if name is None else scene.names.index(name)],
+                )
+
+
+def _start(wall: Boundary, model: Model) -> NDArray[np.float64]:
+    """Return the displacement of a wall at the start [3], m."""
+    track = wall.track(model)
+    shift: NDArray[np.float64] = np.zeros(3) if track is None else track.values(np.zeros(1))[0]
+    return shift
 
 
 def refuse_solids(solids: Sequence[FreeBody], x: NDArray, scene: Scene) -> None:
@@ -145,11 +174,9 @@ def refuse_sunken(solids: Sequence[FreeBody], planes: Sequence[Plane], model: Mo
     """
     for solid, wall in product(solids, planes):
         point, normal, _ = (np.array(vector) for vector in wall.geometry(model))
-        track = wall.track(model)
-        shift = np.zeros(3) if track is None else track.values(np.zeros(1))[0]
-        depth = solid.reach(normal) - float((solid.place - point - shift) @ normal)
+        depth = solid.reach(normal) - float((solid.place - point - _start(wall, model)) @ normal)
         if depth > DEEPEST * model.dx:
-            limit = f"it starts {depth:.2g} m deep in a wall ({type(wall).__name__.lower()})."
+            limit = f"it starts {depth:.2g} m deep in a wall ({kind_of(wall)})."
             remedy = "Move the wall or the object (place, lift)."
             raise InputError("objects", solid.name, limit, remedy)
 

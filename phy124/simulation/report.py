@@ -121,7 +121,7 @@ def _notes(run: Run) -> list[str]:
     return [
         *(note for section in scene.materials for note in section.notes()),
         *bodies.notes(scene),
-        *overlap.notes(scene.boundaries, run.solver.model),
+        *overlap.notes(scene, run.solver.model),
         *_cfl_note(run),
         *note_costs(scene),
         *_unregistered_notes(scene.unregistered),
