@@ -52,6 +52,14 @@ def test_a_mesh_has_its_size_colours_volume_and_stands_upright(tmp_path, kind, u
     assert find_solid(made, 1 / 32).volume == pytest.approx(np.pi / 6, rel=0.02)
 
 
+@pytest.mark.parametrize("scale", [1e-9, 1e-6, 1e9])
+def test_the_unit_of_a_mesh_is_arbitrary(tmp_path, scale):
+    wanted = mesh(saved(tmp_path / "metres.stl", trimesh.creation.icosphere(2, 0.5)), RED)
+    made = mesh(saved(tmp_path / "a.stl", trimesh.creation.icosphere(2, 0.5 * scale)), RED)
+    assert len(made) == pytest.approx(len(wanted), rel=0.02) and np.isfinite(made.quats).all()
+    assert np.ptp(made.means, axis=0) == pytest.approx(np.ptp(wanted.means, axis=0), abs=5e-3)
+
+
 def test_inverted_mesh_is_lit_from_outside(tmp_path):
     body = trimesh.creation.icosphere(subdivisions=2)
     body.invert()
@@ -118,6 +126,11 @@ def corners(values, faces="3 0 1 2"):
         ("a.ply", corners(["0 0 0", "1 0 0", "0 1 0"], "3 0 1 9"), "cannot|does not contain"),
         ("a.ply", corners(["0 0 0", "1 0 0", "2 0 0"]), "no surface area"),
         ("a.ply", corners(["0 0 0"] * 3), "no surface area"),
+        (
+            "a.obj",
+            b"v 0 0 0\nv 1 0 0\nv 0 1e300 0\nf 1 2 3\n",
+            "a coordinate of 1e.300, but at most",
+        ),
         ("a.ply", corners(["0 0 0", "1 0 0", "0 1 0"], ""), "only 3 of 4 rows"),
         ("a.ply", corners(["0 0 0", "1 0 0", "0 1e-9 0"]), "One vertex may be far"),
         ("a.stl", b"solid a\nfacet normal 0 0 1\nouter loop\n", "no triangles. Copy"),

@@ -55,6 +55,8 @@ LARGEST_HEADER = 1 << 20
 """Number of bytes at the start of a file that show whether the file is a mesh."""
 SMALLEST = 1e-6
 """Smallest surface area of a mesh, relative to the square of its longest side."""
+FARTHEST = 1e18
+"""Largest coordinate of a vertex; float32 numbers can store its square."""
 Drawn = tuple[NDArray[np.float64], NDArray[np.float64], "NDArray[np.float64] | None"]
 """Points [N,3], outward normals [N,3], and colours [N,3] in 0..1 if the mesh has colours."""
 
@@ -290,36 +292,44 @@ def _is_text(line: bytes) -> bool:
 
 
 def _join_corners(pieces: list[Trimesh]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the corners [3F,3] and the areas [F] of all triangles."""
+    """Return the corners [F,3,3] of all triangles, and their normals [F,3], whose lengths are the
+    areas relative to the square of a unit near the longest side.
+    """
     for piece in pieces:
         if piece.faces.min() < 0 or piece.faces.max() >= len(piece.vertices):
             raise ValueError("a triangle refers to a vertex that the file does not contain.")
         if not np.isfinite(piece.vertices[piece.faces]).all():
             raise ValueError("a vertex of a triangle has a coordinate that is NaN or infinite.")
-    corners = np.concatenate([piece.triangles.reshape(-1, 3) for piece in pieces])
-    side = float(np.ptp(corners, axis=0).max())
-    areas = np.concatenate([piece.area_faces for piece in pieces])
-    if not areas.sum() > 0:
+    corners = np.concatenate([piece.triangles for piece in pieces])
+    if (largest := float(np.abs(corners).max())) > FARTHEST:
+        limit = f"a vertex has a coordinate of {largest:.3g}, but at most {FARTHEST:g} is allowed."
+        raise ValueError(f"{limit}; Correct this vertex, or scale the mesh.")
+    side = float(np.ptp(corners, axis=(0, 1)).max())
+    unit = np.ldexp(1.0, np.frexp(side)[1])  # a power of 2 does not change the digits
+    edges = (corners[:, 1:] - corners[:, :1]) / unit
+    normals = np.cross(edges[:, 0], edges[:, 1]) / 2
+    area = float(np.linalg.norm(normals, axis=1).sum() * unit * unit)
+    if not area > 0:
         raise ValueError("its triangles have no surface area.")
-    if areas.sum() <= SMALLEST * side * side:
+    if area <= SMALLEST * side * side:
         raise ValueError(
-            f"its longest side is {side:.3g}, but its surface area is only {areas.sum():.3g}. "
+            f"its longest side is {side:.3g}, but its surface area is only {area:.3g}. "
             "One vertex may be far from all other vertices."
         )
-    return corners, areas
+    return corners, normals
 
 
 def _sample_surface(pieces: list[Trimesh], seed: int, count: int) -> Drawn:
-    corners, areas = _join_corners(pieces)
+    corners, normals = _join_corners(pieces)
     # If the normals of most of the area point towards the centre, the mesh is inside out. All
     # normals are then reversed.
-    away = np.concatenate([piece.triangles_center for piece in pieces]) - corners.mean(axis=0)
-    normals = np.concatenate([piece.face_normals for piece in pieces])
-    sign = 1.0 if (areas * (away * normals).sum(axis=1)).sum() >= 0 else -1.0
-    triangles = corners.reshape(-1, 3, 3)
-    chosen, weights = choose_triangles(triangles, count, seed)
-    points = np.einsum("nc,nci->ni", weights, triangles[chosen])
-    return points, sign * normals[chosen], _colours(pieces, chosen, weights)
+    away = corners.mean(axis=1) - corners.mean(axis=(0, 1))
+    sign = 1.0 if (away * normals).sum() >= 0 else -1.0
+    chosen, weights = choose_triangles(corners, count, seed)
+    points = np.einsum("nc,nci->ni", weights, corners[chosen])
+    outward = sign * normals[chosen]
+    outward /= np.linalg.norm(outward, axis=1, keepdims=True)
+    return points, outward, _colours(pieces, chosen, weights)
 
 
 def _colours(
