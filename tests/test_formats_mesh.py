@@ -227,7 +227,7 @@ def test_surface_is_not_replaced(tmp_path, spun, capsys):
     before = surface.read_bytes()
     words = ["export", _saved(tmp_path, spun), "--to", "moving-mesh", "--surface", str(surface)]
     assert run_command(words) == 2
-    assert "Give another name by --out" in capsys.readouterr().err
+    assert "Give another name for the output" in capsys.readouterr().err
     assert surface.read_bytes() == before
 
 
