@@ -354,6 +354,13 @@ def test_pieces_and_tiny_objects_are_doubted(places, doubted):
     assert len(result.warnings) == 1 and doubted in result.warnings[0]
 
 
+def test_specks_are_doubted():
+    solid = np.random.default_rng(0).random((120, 120)) < 0.1
+    rgb = np.full((120, 120, 3), 90, np.uint8)
+    result = foreground(Image.fromarray(rgb), mask=Image.fromarray(255 * solid.astype(np.uint8)))
+    assert result.pieces == 0 and "consists only of specks" in result.warnings[0]
+
+
 def found_as(solid):
     """A method that finds this."""
     return Method(lambda _: True, lambda *_: 255 * solid.astype(np.uint8))

@@ -26,6 +26,14 @@ def test_an_object_that_is_half_clear_throughout_is_taken(alpha):
     assert np.asarray(cutout.picture)[30, 40, :3].tolist() == [200, 40, 30]
 
 
+def test_the_transparency_of_a_thin_object_is_used():
+    """The line covers 0.45 % of the picture."""
+    pixels = np.zeros((400, 400, 4), np.uint8)
+    pixels[199:201, 20:380] = 200, 40, 30, 255
+    cutout = foreground(Image.fromarray(pixels))
+    assert (cutout.method, cutout.coverage) == ("alpha", 0.0045)
+
+
 def test_faint_parts_beside_an_opaque_one_stay_faint():
     picture = square(255, 100)
     assert not is_faint(picture) and has_alpha(picture)

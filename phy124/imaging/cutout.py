@@ -81,7 +81,7 @@ class Cutout:
     """
     coverage: float
     pieces: int
-    """Number of connected pieces."""
+    """Number of connected pieces, without pieces smaller than a hundredth of the object."""
     touches: tuple[str, ...]
     """Image edges that the object nearly reaches: left, top, right, bottom."""
     unseen: float
@@ -117,6 +117,8 @@ class Cutout:
             yield "These may be two objects that touch; if so, pick the object that you want."
         if self.pieces >= PIECES:
             yield f"The cut-out is in {self.pieces} pieces."
+        if self.pieces == 0:
+            yield "The cut-out consists only of specks."
 
     def _doubt_size(self) -> Iterator[str]:
         # Networks are exempt: their cut-outs rarely include background, but touch edges if a person

@@ -3,7 +3,7 @@
 import numpy as np
 from PIL import Image
 
-REAL = 0.005
+REAL = 0.003
 """In a cut-out, at least this fraction of the pixels is opaque, and at least the same fraction is
 transparent.
 """
