@@ -19,6 +19,15 @@ def test_values_survive_every_format(tmp_path):
         np.testing.assert_allclose(read_depth(tmp_path / name), RAMP * scale, rtol=1e-6)
 
 
+@pytest.mark.parametrize("scale", [1e-300, 1e35, 1e300])
+def test_values_beyond_float32_are_scaled(tmp_path, scale):
+    np.save(tmp_path / "map.npy", RAMP * scale)
+    with np.errstate(all="raise"):
+        values = read_depth(tmp_path / "map.npy")
+        assert np.isfinite(values).all() and values.mean() > 0
+    np.testing.assert_allclose(values, RAMP / RAMP.max(), rtol=1e-6)
+
+
 def spoiled(folder):
     """Files that are no depth maps, and what is said of each."""
     np.save(folder / "colours.npy", np.zeros((4, 4, 3)))

@@ -21,6 +21,8 @@ from phy124.io.opening import obstacle
 from phy124.schema.section import Section
 from phy124.weights.store import require
 
+RANGE = (1e-18, 1e18)
+"""Range of the largest value of a depth map for computations with float32 numbers."""
 ASPECT = 0.02
 """Largest relative difference between the aspect ratios of a depth map and its image."""
 
@@ -73,6 +75,8 @@ class DepthMap(Section):
 def read_depth(path: Path) -> NDArray[np.float32]:
     """Read a depth map [H,W] from its file.
 
+    If the values are outside `RANGE`, they are divided by the largest value.
+
     Raises:
         InputError: If the file is missing or damaged, is not a single image, or contains values
             that are not finite.
@@ -88,6 +92,10 @@ def read_depth(path: Path) -> NDArray[np.float32]:
         raise InputError(
             "depth", path, limit, "Replace values that are not finite by the largest depth."
         )
+    values = values.astype(np.float64)
+    largest = float(np.abs(values).max())
+    if largest > 0 and not RANGE[0] < largest < RANGE[1]:
+        values /= largest
     return values.astype(np.float32)
 
 
