@@ -1,6 +1,7 @@
 """Fewer Gaussians that cover what all of them covered."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,8 +11,18 @@ from phy124.errors import InputError
 from phy124.generators.ply_file import PlyFile
 from phy124.generators.relief import relief
 from phy124.particles.thinning import check_count, thin, with_count
+from phy124.pipeline.gaussians import make_object
 from phy124.rendering.render import Renderer
+from phy124.runtime.context import RunContext
+from phy124.scene import Scene
 from support.shapes import ball
+
+
+@pytest.mark.parametrize(("count", "noted"), [(100, True), (3000, False), (None, False)])
+def test_far_fewer_gaussians_than_requested_are_noted(count, noted):
+    duck = Path(__file__).parents[1] / "demo/examples/duck.png"
+    made = make_object(duck, Scene(), RunContext(device="cpu"), method="grabcut", count=count)
+    assert any("instead of 100: --gaussians" in note for note in made.about["notes"]) == noted
 
 
 def test_few_stay_as_they_are():

@@ -12,6 +12,8 @@ from phy124.errors import InputError
 from phy124.gaussians import Gaussians
 from phy124.io.content import MOST_KEPT
 
+FEW = 0.5
+"""A note is shown if a generator makes fewer Gaussians than this fraction of the number."""
 FEWEST, MOST = 100, MOST_KEPT
 GIANT = 1e4
 """A Gaussian with a larger area, relative to the median, counts as background or as an error."""
@@ -35,6 +37,16 @@ def with_count(make: Any, count: int | None) -> Any:
     if count is None or "count" not in inspect.signature(make).parameters:
         return make
     return partial(make, count=count)
+
+
+def note_few(make: Any, made: int, count: int | None) -> list[str]:
+    """Return a note if a generator with the option `count` made much fewer Gaussians."""
+    if count is None or made > FEW * count or "count" not in inspect.signature(make).parameters:
+        return []
+    return [
+        f"The generator made {made:,} Gaussians instead of {count:,}: --gaussians is approximate, "
+        "most of all for small numbers."
+    ]
 
 
 def thin(gaussians: Gaussians, count: int | None, *, seed: int = 0) -> Gaussians:

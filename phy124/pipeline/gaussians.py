@@ -22,7 +22,7 @@ from phy124.imaging.objects import Point
 from phy124.imaging.painted import Crop, crop_of
 from phy124.io.clip import Clip
 from phy124.io.formats import is_file_of_gaussians
-from phy124.particles.thinning import thin, with_count
+from phy124.particles.thinning import note_few, thin, with_count
 from phy124.pipeline.capture import capture
 from phy124.runtime.context import RunContext
 from phy124.runtime.isolated import Deadline
@@ -192,6 +192,7 @@ def make_object(
             about |= {"cleaning": read.cleaning, "notes": [*read.notes], **read.about}
         else:
             gaussians = make(picture, seed=scene.seed, progress=progress)
+            about["notes"] += note_few(make, len(gaussians), count)
             gaussians = thin(gaussians, count, seed=scene.seed)
     return StaticObject(gaussians, scene, crop_of(picture), cutout, about, effort)
 
