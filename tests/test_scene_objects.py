@@ -258,7 +258,7 @@ def test_forces_and_walls_act_on_the_object_they_name():
     assert np.abs(moved[0]).max() < 1e-3
     assert moved[1].mean(axis=0) == pytest.approx([4 / 48**2 * 2, 0, -9.81 / 48**2 * 2], rel=0.01)
     assert clip.report["balance"]["momentum_gain"] < 1e-4
-    with pytest.raises(InputError, match=r"no object is called box\. There are object"):
+    with pytest.raises(InputError, match=r"box has no particles.*choose one of: object"):
         scene(objects=[{**BOX, "static": True}], forces=[push])
 
 

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from phy124.boundaries import Boundary
 from phy124.boundaries.planes import Plane
 from phy124.errors import InputError
-from phy124.lattice.clamps import distances
 from phy124.monitor.wrenches import kind_of
 from phy124.mpm import FreeBody, Model
 from phy124.particles import Particles
@@ -72,6 +71,8 @@ def refuse_empty(scene: Scene, model: Model) -> None:
             force.chosen(model, f"forces.{index}.region")
     for index, wall in enumerate(scene.boundaries):
         if wall.holds and scene.on_lattice and not scene.couples:
+            from phy124.lattice.clamps import distances
+
             x = model.rest_of(wall.object)
             if not (distances(wall, model, x)[:, 3] < 0).any():
                 limit = "at the start, it contains no material that it could hold."
