@@ -10,7 +10,7 @@ interior is found in four steps:
   stay open. Wide openings are never sealed.
 - If no radius encloses a cavity, the shell is open (a missing back or bottom). A voxel is then
   inside if axis-parallel rays from the voxel meet the shell in at least five of the six directions.
-  The inside of a vessel whose walls have two sides remains empty (phy124/particles/walls.py).
+  The inside of a vessel whose walls have two sides remains empty (phy124/particles/vessels.py).
 - Only the part of a surface voxel below the local surface belongs to the solid
   (phy124/particles/surface.py).
 
@@ -37,8 +37,8 @@ from phy124.gaussians import Gaussians, rotation_matrices
 from phy124.particles.cleaning import VISIBLE
 from phy124.particles.resampling import Material, average, move_material
 from phy124.particles.surface import Samples, Surface, find_surface, shortest_axes
+from phy124.particles.vessels import is_vessel
 from phy124.particles.voxels import Voxels, find_voxels
-from phy124.particles.walls import is_wall
 
 Mask = NDArray[np.bool_]
 
@@ -336,7 +336,7 @@ def _without_vessels(cavity: Mask, grid: _Voxels) -> Mask:
     is_shell = np.zeros(count + 1, bool)
     for part in range(1, count + 1):
         near = np.unique(samples.owner[label == part])
-        is_shell[part] = not is_wall(grid.means, samples.normals, near)
+        is_shell[part] = not is_vessel(grid.means, samples.normals, near)
     parts: Mask = is_shell[labels]
     return parts
 

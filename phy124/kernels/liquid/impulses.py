@@ -180,8 +180,8 @@ def make_wall_impulses(real: Any):
             cell = cell_of(n, size)
             pressed = t.vec3()
             # The loop count is not a constant, so that the compiler does not unroll the loop.
-            twice = int(6)
-            for i in range(twice):
+            count = int(6)
+            for i in range(count):
                 axis = i // 2
                 jump = open[n + stride(axis, size)][axis] - open[n][axis]
                 closing = part_of_solid(jump, covers, n, stride(axis, size), axis)

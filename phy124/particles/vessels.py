@@ -31,8 +31,8 @@ CHOSEN = 1000
 """Largest number of Gaussians whose neighbours are examined."""
 
 
-def is_wall(means: Array, normals: Array, near: Array) -> bool:
-    """Return whether most of the Gaussians `near` belong to a wall with two sides.
+def is_vessel(means: Array, normals: Array, near: Array) -> bool:
+    """Return whether most of the Gaussians `near` belong to the wall of a vessel.
 
     Args:
         means: Centres of all Gaussians [N,3].
