@@ -169,7 +169,7 @@ def test_generate_composes_and_so_does_render_afterwards(tmp_path, capsys):
     out = tmp_path / "out"
     command = ["generate", "demo/examples/duck.png", "--accuracy", "draft", "--frames", "3"]
     assert main([*command, "--views", "front", "--compose", "--out", str(out)]) == 0
-    assert "in the picture: " in capsys.readouterr().out
+    assert "first frame and photograph, " in capsys.readouterr().out
     assert json.loads((out / "report.json").read_text("utf-8"))["compose"]["psnr"] > 30
     first = read_video(out / "composed.mp4")
     (out / "composed.mp4").unlink()

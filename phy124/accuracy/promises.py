@@ -22,7 +22,7 @@ SPREAD = 3.0
 measured objects and scenes (docs/lab/accuracy.md#goals).
 """
 SMALLEST = 1e-4
-"""Smallest error in messages, relative to the object's size."""
+"""Smallest error that a message states, relative to the object's size."""
 
 
 @dataclass(frozen=True)

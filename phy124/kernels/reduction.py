@@ -49,7 +49,7 @@ def run_of(node: int) -> int:
 
 @wp.func_native(code("reduction:sum_run", "reduction:add"))
 def add(grid: wp.array(dtype=wp.vec4), node: int, value: wp.vec4, run: int):
-    """Add a value to a node, once for each group of threads (`run_of`)."""
+    """Add values to nodes, with one addition for each group of threads (`run_of`)."""
     ...
 
 

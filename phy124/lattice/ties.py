@@ -33,9 +33,10 @@ inside the body.
 """
 BENT, THIN = 3.0, 0.6
 """In thin parts of a body, the donors' weights are fitted to reproduce products of two coordinates
-as well. `BENT` is the weight of these products in the fit. A part of a body is thin if each donor
-has less than `THIN` of the mass of a node inside the body. Without the products, a plate with a
-thickness of 0.3 cells on the border of two layers of cells would be 20 % too stiff.
+as well. `BENT` is the weight of these products in the fit. A part of a body is thin if each node
+that gives mass (donor) has less than the fraction `THIN` of the mass of a node inside the body.
+Without the products, a plate with a thickness of 0.3 cells on the border of two layers of cells
+would be 20 % too stiff.
 """
 DONORS = 27
 """Largest number of nodes from which the motion of a tied node is extrapolated (its donors)."""

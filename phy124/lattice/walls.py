@@ -102,7 +102,7 @@ class Nodes:
     points: tuple[wp.array, wp.array, wp.array]
     """Nodes [S,27], weights [S,27] and positions at rest [S,3], m, of the surface points."""
     rows: Rows
-    """The functions on the nodes of a surface point, scalar or vectorised."""
+    """Scalar or vectorised functions that process the nodes of a surface point."""
 
 
 class Walls:

@@ -24,7 +24,7 @@ STAGE, WORK = "walls", "external work"
 
 
 class Pushes:
-    """Velocity changes by forces; arrays are empty if no forces act on particles."""
+    """Changes of velocities by forces; the arrays are empty if no forces act on particles."""
 
     def __init__(self, model: Model, state: State, cells: Cells) -> None:
         self._model, self._state, self._cells = model, state, cells

@@ -25,9 +25,7 @@ class Measured:
         self._inner, self._measure = inner, measure
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Return a first measurement, the stages of the forces or boundaries, and further
-        measurements.
-        """
+        """Return the stages of the forces or boundaries, preceded and followed by measurements."""
         stages = [stage for item in self._inner for stage in item.attach(model, state, tracks)]
         if not stages:
             return []

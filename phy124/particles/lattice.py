@@ -46,8 +46,8 @@ AROUND = np.array([s for s in np.ndindex(3, 3, 3) if s != (1, 1, 1)]) - 1
 APART = 0.5
 """Distance between neighbouring surface points [cells]."""
 ALIGNED = 1e-7
-"""Second moments that differ by less count as equal [cells^2]; the points are then aligned with the
-axes.
+"""Second moments count as equal if they differ by less than this [cells^2]; the points are then
+aligned with the axes.
 """
 CORNERS = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
 

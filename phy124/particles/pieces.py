@@ -196,8 +196,8 @@ def _copies_of_parts(
 
 
 def _same_nodes(step: NDArray[np.int64]) -> NDArray[np.int8]:
-    """Return the number that each node of a cell has in another cell [L,27]; -1: the other cell
-    does not use the node. The other cell lies at the index offset `step` [L,3].
+    """Return the index of each node of a cell among the nodes of another cell [L,27]; -1: the other
+    cell does not use the node. The other cell lies at the index offset `step` [L,3].
     """
     ways = np.array(list(np.ndindex(5, 5, 5)))[:, None] - 2 + AROUND
     table = np.where((np.abs(ways) <= 1).all(axis=2), (ways + 1) @ [9, 3, 1], -1).astype(np.int8)

@@ -53,7 +53,7 @@ def average(
 
     Args:
         values: Values of voxels [X,Y,Z]; zero elsewhere.
-        first: Index of the first voxel [3]; its lower corner is at first * voxel.
+        first: Index of the first voxel [3]; its lower corner is at `first * voxel`.
         voxel: Side of the voxels [m].
         step: Side of the other voxels [m].
 

@@ -96,7 +96,7 @@ class Driver(NamedTuple):
 
 
 def driver() -> Driver:
-    """Return the CUDA versions that this machine's driver supports and that Warp needs.
+    """Return the CUDA version that this machine's driver supports, and the version that Warp needs.
 
     Warp must have been started.
     """

@@ -47,7 +47,8 @@ ratio is larger for shading, which changes gradually.
 """
 ALIKE = 0.7
 """Smallest fraction of the sectors in which the colour changes in the same direction as in the
-sector a twelfth of the outline away. A chessboard's colours change in opposite directions.
+sector a twelfth of the outline away. On a chessboard, the colours of neighbouring sectors change in
+opposite directions.
 """
 AWAY = (6, 10)
 """Range of distances from the edge in which the change is measured [pixels]."""

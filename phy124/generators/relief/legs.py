@@ -34,8 +34,8 @@ ARCHED = 0.5
 width.
 """
 UPPER, WIDE = 0.25, 0.5
-"""The width of the arch is measured at this distance from its top, relative to its height. The arch
-is wide if this width, relative to the largest width, is at least the second value.
+"""The width of an arch is measured at the distance `UPPER` from its top, relative to its height. An
+arch is wide if this width is at least `WIDE`, relative to the largest width.
 """
 WHEEL = 0.5
 """Thickness of a wheel, relative to the diameter."""

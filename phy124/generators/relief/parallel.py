@@ -17,7 +17,7 @@ SMOOTHING = 0.04
 """Standard deviation of the filter that smooths the rows' depths, relative to the object's height.
 """
 END = 0.05
-"""Rows within this distance from a flat end are near the end, relative to the object's height."""
+"""Rows are near a flat end if they are closer to it than this, relative to the object's height."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -40,8 +40,8 @@ LOWEST = 0.8
 WIDE = 1.5
 """Smallest ratio of width to height of wide wings."""
 COMPACT = (0.3, 0.85)
-"""Smallest and largest mean height of the silhouette at the axis, relative to the wings' height.
-The smallest height does not apply to wide wings. Faces and buses are higher at the axis.
+"""Limits of the silhouette's mean height near the axis, relative to the wings' height. The lower
+limit does not apply to wide wings. Faces and buses are higher at the axis.
 """
 RADIUS = 0.265
 """Largest radius of a disc inside wings, relative to the object's size."""

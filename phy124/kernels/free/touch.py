@@ -27,8 +27,8 @@ ROUND = wp.constant(0.6)
 factor is fitted to the contact of a ball with a box (docs/lab/contact-force.md).
 """
 STEEP = wp.constant(1e-4)
-"""Smallest slope [1/cell] of a box's volume fraction that determines the contact normal. For
-smaller slopes, the normal of the nearest face is used.
+"""Threshold for the slope of a box's volume fraction [1/cell]. Steeper slopes determine the contact
+normal; otherwise, the normal of the nearest face is used.
 """
 
 

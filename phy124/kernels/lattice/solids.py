@@ -35,7 +35,9 @@ from phy124.kernels.lattice.responses import LIMITS, RELAXED, largest_approach, 
 from phy124.kernels.lattice.rows import Rows
 
 ALIGNED = wp.constant(0.9)
-"""Smallest cosine between a box's normal and a point's reversed normal in contact."""
+"""A box and a point are in contact only if the cosine between the box's normal and the point's
+reversed normal is at least this.
+"""
 
 
 @build_once

@@ -87,7 +87,7 @@ def _part(state: float, gpu_memory: float) -> float:
 Row = dict[str, Any]
 """A row of the manifest."""
 FAILED = ".failed.json"
-"""Ending of the row files of failed clips. The next run of the sweep makes these clips again."""
+"""File extension of the rows of failed clips. The next run of the sweep makes these clips again."""
 THUMBNAIL = 96
 """Width and height of a thumbnail [pixels]."""
 

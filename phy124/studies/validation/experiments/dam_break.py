@@ -119,14 +119,14 @@ def release(cells: int, viscosity: float) -> Values:
 EXPERIMENT = Experiment(
     name="dam-break",
     title="Dam break: a column of water twice as high as wide",
-    source="Martin and Moyce 1952: columns that are 1.125 and 2.25 inch wide (as digitised by "
-    "PySPH), and tables 2 and 6 (as published with Ocellaris); the inviscid front is from a "
-    "separate two-dimensional computation with 128 cells across the column",
+    source="Martin and Moyce 1952: columns of water 1.125 and 2.25 inches wide (their plots as "
+    "digitised by PySPH, and their tables 2 and 6 as published with Ocellaris); the inviscid front "
+    "is from a separate two-dimensional computation with 128 cells across the column",
     measured="A projected liquid flows in a smooth channel. The experiment measures the "
     "position Z of the front, divided by the column's width a, at dimensionless times T = t "
     "√(2g/a). The front is at the first gap in the liquid that is wider than a cell. The "
-    "experiment also measures the front's mean speed dZ/dT between two positions and between two "
-    "times, and the height of the water at the wall, divided by the initial height, at times T/√2.",
+    "front's mean speed dZ/dT is measured twice, between two positions and between two times. The "
+    "height of the water at the wall is divided by the initial height, and measured at T/√2.",
     band="inviscid front: ±3 %; speeds: from the lowest to the highest of the three data sets, "
     "widened by 2 %, since positions were read to within 0.02; heights: ±0.02, since the table's "
     "heights have steps of 0.05 to 0.06. The front's positions are not compared with the "

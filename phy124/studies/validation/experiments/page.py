@@ -71,7 +71,7 @@ def _draw_curve(axes: Any, outcome: Outcome) -> None:
 def _draw_values(
     axes: Any, outcome: Outcome, at: Callable[[list[float]], tuple[Any, Any]], **errors: list[float]
 ) -> None:
-    """`at` returns the x and y coordinates of points from one value per quantity."""
+    """Draw the values; `at` converts values, one per quantity, to x and y coordinates of points."""
     experiment, estimates = outcome.experiment, outcome.estimates
     for k, cells in enumerate(experiment.grids):
         dots = {"color": SHADES[k], "markersize": 4, "label": f"{cells} cells"}

@@ -51,7 +51,7 @@ CASES = (
     Case(27, "the window moves", world.window),
     Case(28, "repeats and threads", world.repeats),
     Case(29, "the floor", world.floor),
-    Case(30, "advice that is followed helps", advice.advice, precise=False),
+    Case(30, "following the advice helps", advice.advice, precise=False),
     Case(31, "fluids and grains at walls", world.flow),
     Case(32, "free solids, light and heavy", impact.free),
     Case(33, "tips, edges, legs and hairs", tips.tips),
