@@ -121,11 +121,19 @@ def _files_open(page, folder: Path) -> None:
     page.locator("[data-group=show] > summary").click()
     link = page.locator("#takeaway .shared a")
     link.wait_for()
-    stranger = page.context.browser.new_context()
-    seen = stranger.request.get(link.get_attribute("href"))
-    assert seen.ok and "Phy124Player.mount" in seen.text()
-    stranger.close()
+    _stranger_sees(page.context.browser, link.get_attribute("href"))
     _check_files(folder)
+
+
+def _stranger_sees(browser, link: str) -> None:
+    stranger = browser.new_page()
+    complaints = []
+    stranger.on("console", lambda m: m.type == "error" and complaints.append(m.text))
+    stranger.goto(link)
+    stranger.wait_for_function("globalThis.player || film.innerText.includes('cannot be read')")
+    assert complaints == [], stranger.locator("#film").inner_text()
+    assert stranger.locator("#film .phy-time").count() == 1
+    stranger.close()
 
 
 def _download(page, link, path: Path) -> None:
