@@ -79,6 +79,10 @@ def on_job_end(studio: Studio) -> Handler:
         request: gr.Request,
     ) -> tuple[Any, ...]:
         name, job = visitor_of(request), job_of(studio, request, event)
+        visitor = studio.visitors.find(name)
+        if visitor and shown is None and job is not None and job.over and not job.progress.result:
+            # The page was loaded during this run, which has no result; show the one before it.
+            job = _run_to_show(visitor) or job
         # An earlier result must not change the buttons of a run in progress.
         buttons = (gr.skip(), gr.skip()) if data_of(event).get("earlier") else idle_buttons()
         if job is not None and isinstance(job.progress.result, Measured) and source and scene:

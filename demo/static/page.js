@@ -320,20 +320,20 @@
 
     /** Show the previous result or the cut-out again, because the run failed. */
     drop() {
-      const { growing, last } = this;
+      const { growing, url } = this;
       if (!growing) return;
-      this.growing = null;
+      Object.assign(this, { growing: null, url: growing.keep ? url : null });
       if (growing.keep) return;
-      if (last) this.show(last, this.invented); else if (this.cut) this.standing();
+      if (url) this.show(url, this.invented); else if (this.cut) this.standing();
     }
 
     /* -- a result -- */
 
     async show(url, invented) {
       if (url === this.url && !this.growing) return;
-      if (!url) { Object.assign(this, { url: null, last: null }); return; }
+      if (!url) { this.url = null; return; }
       const { growing, player } = this, kept = growing && player ? [this.stance, player.time] : [];
-      Object.assign(this, { url, last: url, invented, growing: null });
+      Object.assign(this, { url, invented, growing: null });
       const bytes = await read(url);
       if (this.url !== url) return;
       this.clear();

@@ -203,6 +203,28 @@ def test_cancel_frees_the_device_and_the_next_job_runs(visit, server):
     assert visit.complaints == []
 
 
+def test_the_earlier_result_returns_after_cancel(visit):
+    page = visit.page
+    visit.upload()
+    visit.choose(frames=2)
+    visit.generate()
+    visit.finished()
+    visit.choose(frames=60, accuracy="standard")
+    visit.generate()
+    page.wait_for_selector(".viewer-host.growing canvas")
+    page.reload()
+    page.locator("#cancel").click()
+    visit.finished()
+    page.get_by_role("heading", name="Report").wait_for()
+    visit.generate()
+    page.wait_for_selector(".viewer-host.growing canvas")
+    page.locator("#cancel").click()
+    visit.finished()
+    page.wait_for_selector(".viewer-host:not(.growing) canvas")
+    page.get_by_role("heading", name="Report").wait_for()
+    assert visit.complaints == []
+
+
 def test_a_run_called_off_in_the_queue_never_starts(browser, server):
     first, second = Visit(browser, server), Visit(browser, server)
     for visit, frames, accuracy in ((first, 60, "fine"), (second, 2, "draft")):
