@@ -32,10 +32,24 @@ def summarise(report: dict[str, Any], promise: Promise) -> list[dict[str, Any]]:
 
 
 def _describe_squeeze(volume: float) -> str:
+    # The smallest volume of all particles depends on the grid, so the sentence states no number.
     if volume > 0.97:
         return "No part of the object was noticeably compressed."
-    size = "half its volume" if 0.45 < volume < 0.55 else f"{volume:.0%} of its volume"
-    return f"The object's most compressed part shrank to {size.replace('%', ' %')}."
+    return f"Parts of the object were {'' if volume > 0.5 else 'strongly '}compressed."
+
+
+def describe_finer(stop: Stop, promise: Promise) -> str:
+    """Describe the time and the error bound of a finer run of the same motion.
+
+    Args:
+        stop: Predicted time and error bound of the finer run.
+        promise: Error bound of the finished run. If its error was estimated, errors of similar
+            scenes say less than this estimate, and are omitted.
+    """
+    time = f"about {format_seconds(stop.seconds)}"
+    if stop.error is None or stop.promise.of_scene != promise.of_scene:
+        return time
+    return f"{time}, {stop.promise.off(stop.pixels)}"
 
 
 def as_html(

@@ -7,8 +7,6 @@ from typing import Any
 
 import gradio as gr
 
-from phy124.accuracy import Stop
-from phy124.accuracy.promises import format_percent
 from phy124.camera import VIEWS
 from phy124.errors import InputError
 from phy124.io.clip import read_scene, read_shape
@@ -18,12 +16,12 @@ from phy124.scene import Scene
 
 from ..exports import EXPORTS, export
 from ..fits import newest
-from ..forecast import format_seconds, promise_of
+from ..forecast import promise_of
 from ..guard import visitor_of
 from ..jobs import Studio
 from ..line import Job, user_message
 from ..progress import Measured
-from ..report import as_html, summarise
+from ..report import as_html, describe_finer, summarise
 from ..source import Choice, GaussianFile, is_there
 from ..studies import read_study
 from ..visitors import Visitor
@@ -182,20 +180,13 @@ def report_of(studio: Studio, job: Job) -> dict[str, Any]:
     proportions = Proportions.of_report(report)
     stops = studio.forecaster.stops(scene, gaussians=count, proportions=proportions, study=study)
     promise = promise_of(scene, proportions, study, report)
+    finer = next_accuracy(job.choice.data) if job.choice else None
+    stop = next((each for each in stops if each.name == finer), None)
     return {
         "sentences": summarise(report, promise),
-        "finer": _describe_finer(job, stops),
+        "finer": describe_finer(stop, promise) if stop else "",
         "tables": as_html(report, data, job.progress.expected, stops, study),
     }
-
-
-def _describe_finer(job: Job, stops: list[Stop]) -> str:
-    name = next_accuracy(job.choice.data) if job.choice else None
-    stop = next((each for each in stops if each.name == name), None)
-    if stop is None:
-        return ""
-    time = f"about {format_seconds(stop.seconds)}"
-    return time if stop.error is None else f"{time}, at most {format_percent(stop.error)} off"
 
 
 def _earlier(studio: Studio, name: str, shown: Done | None) -> list[dict[str, Any]]:
