@@ -6,7 +6,7 @@ import pytest
 from phy124.camera import Camera
 from phy124.rendering.projection import FILTERS, make_view
 from phy124.rendering.stage.frame import Solid
-from support.arranged import arranged
+from support.device_functions import arranged
 
 CAMERA = Camera.orbit(0, 0, 2.0, 65)
 """A camera that looks along -x from (2, 0, 0)."""

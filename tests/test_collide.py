@@ -15,7 +15,7 @@ from phy124.materials import Fluid
 from phy124.mpm import Grid
 from phy124.schema.region import Region
 from phy124.studies.validation.bodies import lattice, make_solver
-from support.distances import distances
+from support.device_functions import distances
 
 DX = 0.1
 EYE = np.eye(3)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from phy124.mpm.depth import measure_depth
-from support.distances import distances
+from support.device_functions import distances
 
 VECTORS = {
     "half_space": [(0.1, 0, 0.2), (0.6, 0, 0.8), (0, 0, 0)],

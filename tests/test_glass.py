@@ -11,7 +11,7 @@ from phy124.gaussians import Gaussians
 from phy124.kernels.splat.glass import FACE, LINE, RIM, TINT, WIDTH
 from phy124.rendering.render import Renderer
 from phy124.rendering.stage.frame import Backdrop, Solid, StageFrame, bounds
-from support.arranged import arranged
+from support.device_functions import arranged
 from support.shapes import ball
 
 TILTED = np.array([[0.8, 0.6, 0], [-0.6, 0.8, 0], [0, 0, 1.0]])
