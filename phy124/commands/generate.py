@@ -78,10 +78,12 @@ class Generate:
         self._refuse_compose()
         if self.plan.resume:
             making = self.making
+            pictures = [self.image, *self.more]
+            inputs = pipeline.describe_inputs(pictures, scene, making.arguments())
             if not needs_image(making.generator):
                 file = PlyFile(making.generator, making.reading)
                 scene = adapt_scene(file, scene, count=making.gaussians)
-            return continue_run(out, self.options, scene, self._study(), self.plan)
+            return continue_run(out, self.options, scene, inputs, self._study(), self.plan)
         announce(scene, goal, self.options.device, as_json=self.options.json)
         if self.plan.dry_run:
             with pipeline.staging(out), search_first(self.making.cutting.weights):
@@ -207,7 +209,9 @@ class Simulate:
         file, study = PlyFile(str(self.file), self.reading), self._study()
         if self.plan.resume:
             adapted = adapt_scene(file, scene, count=self.gaussians)
-            return continue_run(out, self.options, adapted, study, self.plan)
+            return continue_run(
+                out, self.options, adapted, self._describe_inputs(scene), study, self.plan
+            )
         check_count(self.gaussians)
         announce(scene, goal, self.options.device, as_json=self.options.json)
         if self.plan.dry_run:
@@ -216,7 +220,7 @@ class Simulate:
         # A folder that cannot be used is refused before any work.
         pipeline.refuse_folder(out, scene.view, [Path(path) for path in (self.file, *self.more)])
         with Bars(quiet=self.options.json, keeps=True) as bars, pipeline.staging(out):
-            context = self.options.context(bars)
+            context, inputs = self.options.context(bars), self._describe_inputs(scene)
             needed = kernels(scene, context.device)
             with looking_up(needed, context.device), context.watch.stage("read"):
                 read = self._read(file, scene, context)
@@ -224,6 +228,7 @@ class Simulate:
                 "generator": str(self.file),
                 "cleaning": read.cleaning,
                 "notes": [*read.notes],
+                "inputs": inputs,
                 **read.about,
             }
             result = pipeline.simulate(
@@ -242,6 +247,10 @@ class Simulate:
     def _study(self) -> str:
         making = {"gaussians": self.gaussians, **self.reading.model_dump(exclude_defaults=True)}
         return self.options.study_command([self.file, *self.more], making)
+
+    def _describe_inputs(self, scene: Scene) -> dict[str, str]:
+        making = {"reading": self.reading, "count": self.gaussians}
+        return pipeline.describe_inputs([self.file, *self.more], scene, making)
 
     def _read(self, file: PlyFile, scene: Scene, context: RunContext) -> Capture:
         read = capture(file, scene, count=self.gaussians, progress=context.progress)
@@ -276,7 +285,12 @@ def get_ready() -> None:
 
 
 def continue_run(
-    out: Path, options: SceneOptions, scene: Scene, study: str, plan: PlanOptions
+    out: Path,
+    options: SceneOptions,
+    scene: Scene,
+    inputs: dict[str, str],
+    study: str,
+    plan: PlanOptions,
 ) -> int:
     """Continue the interrupted run in a folder, and print its results.
 
@@ -284,6 +298,7 @@ def continue_run(
         out: The folder of the interrupted run.
         options: The options of the command.
         scene: The scene of the interrupted run; another scene is refused.
+        inputs: The files and options of the interrupted run; others are refused.
         study: The command that measures the error of this scene.
         plan: The options for accuracy and time.
     """
@@ -292,6 +307,7 @@ def continue_run(
             out,
             scene,
             options.context(bars),
+            inputs=inputs,
             any_accuracy=plan.goal() is not None,
             keep=True,
             error=plan.error,

@@ -30,6 +30,8 @@ from phy124.pipeline.gaussians import check_sources as check_sources
 from phy124.pipeline.gaussians import make_gaussians as make_gaussians
 from phy124.pipeline.gaussians import split
 from phy124.pipeline.gaussians import with_others as with_others
+from phy124.pipeline.inputs import describe_inputs as describe_inputs
+from phy124.pipeline.inputs import refuse_other_inputs
 from phy124.pipeline.run_folder import CUTOUT, PAUSE, RunFolder
 from phy124.pipeline.run_folder import Result as Result
 from phy124.pipeline.run_folder import playback as playback
@@ -96,6 +98,7 @@ def generate(
     refuse_unfilmable(scene)
     refuse_folder(Path(out), scene.view, [Path(path) for path in (first, *more)])
     with staging(out):  # An unusable folder is refused before any work.
+        inputs = describe_inputs([first, *more], scene, making)
         with looking_up(kernels(scene, context.device), context.device):
             made = make_gaussians(image, scene, context, **making)
         return simulate(
@@ -103,7 +106,7 @@ def generate(
             made.scene,
             out,
             context,
-            about=made.about,
+            about={**made.about, "inputs": inputs},
             crop=made.crop,
             cutout=made.cutout,
             goal=goal,
@@ -200,6 +203,7 @@ def go_on(
     scene: Scene | None = None,
     context: RunContext | None = None,
     *,
+    inputs: dict[str, str] | None = None,
     any_accuracy: bool = False,
     keep: bool = False,
     error: bool = True,
@@ -214,6 +218,7 @@ def go_on(
         scene: The expected scene of the run; None if any scene is accepted.
         context: Device, threads, progress and stopwatch; without a number of threads, the previous
             number is used.
+        inputs: The expected inputs (`describe_inputs`); None if any inputs are accepted.
         any_accuracy: Whether the accuracies of the run and of `scene` may differ, as with a goal.
         keep: Whether the run is saved again if `progress` cancels it.
         error: Whether to estimate the error of the run, if the estimate takes little time.
@@ -221,7 +226,7 @@ def go_on(
 
     Raises:
         InputError: There is no interrupted run, another process is continuing it, or its scene
-            differs from `scene`.
+            or inputs differ from `scene` or `inputs`.
     """
     context = RunContext.of(context, **fields)
     refuse_threads(context.threads)
@@ -239,6 +244,8 @@ def go_on(
             # The crop is not chosen by the user: it was read from the picture.
             asked_object["crop"] = paused_object.get("crop")
         _refuse_other(asked, paused, out)
+    if inputs is not None and "inputs" in about:  # a run from Python may have no files
+        refuse_other_inputs(inputs, about["inputs"], out)
     refuse_unfilmable(Scene.from_data(about["scene"], str(path)))
     frames = resume.frames_of(path)
     entries = {name: value for name, value in about.items() if name not in ("scene", "frames")}

@@ -277,6 +277,9 @@ class Report(TypedDict):
     """Details of the cut-out; null if there is no picture."""
     generator: str | None
     """Name of the generator, or the file of Gaussians."""
+    inputs: NotRequired[dict[str, str]]
+    """Options that determine the objects, and SHA-256 digests of the files from which the command
+    made them; `--resume` refuses others."""
     effort: NotRequired[dict[str, Any]]
     """Settings and predicted time [s] of a slow generator."""
     gaussians: int
