@@ -111,8 +111,7 @@ def _html(done: Done, path: Path) -> None:
 
 def _ply(done: Done, path: Path) -> None:
     clip = Clip.load(done.clip / "clip.safetensors")
-    frames = drawn_frames(clip, View.model_validate(clip.scene["view"]))
-    write_sequence(path, clip, name="phy124", frames=frames)
+    write_sequence(path, clip, name="phy124", frames=drawn_frames(clip))
 
 
 def _mcap(done: Done, path: Path) -> None:
@@ -137,10 +136,11 @@ def _bridge() -> bool:
 
 def _write_format(format: Format, done: Done, path: Path) -> None:
     clip = Clip.load(done.clip / "clip.safetensors")
+    frames = drawn_frames(clip)
     if format.write_clip is not None:
-        format.write_clip(path, clip)
+        format.write_motion(path, clip, frames)
     else:
-        format.write(path, clip.frame(0).gaussians)
+        format.write(path, next(frames or clip.frames()).gaussians)
 
 
 def _export_of(format: Format) -> Export:

@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from phy124.__main__ import main
 from phy124.budget.effects import Effects
 from phy124.gaussians import Gaussians
+from phy124.io.clip import Clip
+from phy124.io.formats import read_gaussians
 from phy124.rendering.film import film
 from phy124.rendering.frames import render_frames
 from phy124.rendering.framing import cameras
@@ -39,6 +42,27 @@ def clip_of(law):
 @pytest.fixture(scope="module")
 def water():
     return clip_of("fluid")
+
+
+@pytest.mark.parametrize("shine", [True, False])
+def test_exports_show_the_look_that_videos_show(water, tmp_path, capsys, shine):
+    """`view.shine` of the clip decides, with one frame and with all frames."""
+    view = {**water.scene["view"], "shine": shine}
+    replace(water, scene={**water.scene, "view": view}).save(tmp_path / "clip.safetensors")
+    clip = Clip.load(tmp_path / "clip.safetensors")
+    command = ["export", str(tmp_path / "clip.safetensors"), "--to"]
+    wanted = Shine(clip).shape(clip.frame(1)) if shine else clip.frame(1)
+    assert main([*command, "ply", "--frame", "1", "--out", str(tmp_path / "a.ply")]) == 0
+    opacities = read_gaussians(tmp_path / "a.ply").gaussians.opacities
+    np.testing.assert_allclose(opacities, wanted.gaussians.opacities, atol=1e-4)
+    assert main([*command, "p4d"]) == 0
+    assert ("It is kept by --to usd, --to 4dgs" in capsys.readouterr().out) is shine
+    pxr = pytest.importorskip("pxr.UsdVol", reason="usd-core is not installed")
+    assert main([*command, "usd"]) == 0
+    stage = pytest.importorskip("pxr.Usd").Stage.Open(str(tmp_path / "clip.usdc"))
+    splats = pxr.ParticleField3DGaussianSplat(stage.GetDefaultPrim())
+    np.testing.assert_allclose(splats.GetOpacitiesAttr().Get(1), wanted.gaussians.opacities)
+    np.testing.assert_allclose(splats.GetPositionsAttr().Get(1), wanted.gaussians.means)
 
 
 def still(x):

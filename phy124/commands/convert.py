@@ -29,7 +29,6 @@ from phy124.io.sequence import write_sequence
 from phy124.particles.merging import merge_clip_to, merge_to
 from phy124.rendering.shine import drawn_frames, make_shine
 from phy124.scene import Format as Filmed
-from phy124.scene import View
 
 MERGE = tyro.conf.arg(metavar="N")
 TO = "; ".join(f"{name}: {format.title}" for name, format in written_formats().items())
@@ -131,13 +130,28 @@ class Export:
         if self.surface is not None and (self.to != "moving-mesh" or self.frame is not None):
             limit = "This option is only for --to moving-mesh with all frames."
             raise InputError("surface", self.surface, limit, "Remove this option.")
+        notes = self._note_look(clip, chosen)
         if self.merge is not None:
             clip = merge_clip_to(clip, self.merge)
         with Bars(quiet=self.json) as bars:
             files = self._write(clip, chosen, bars)
         first = clip.frame(self.frame or 0).gaussians
-        notes = note_lost(first, chosen)
+        notes += note_lost(first, chosen)
         return _show(files, len(first), chosen, notes, as_json=self.json)
+
+    def _note_look(self, clip: Clip, chosen: Format) -> list[str]:
+        whole = self.frame is None and chosen.write_clip is not None
+        if (self.merge is None and (chosen.draws or not whole)) or make_shine(clip) is None:
+            return []
+        if self.merge is not None:
+            why, remedy = "of --merge", "Remove --merge to keep it."
+        else:
+            why = f"{chosen.title} stores one colour and opacity for the whole motion"
+            remedy = "It is kept by --to usd, --to 4dgs, and --to ply --all."
+        return [
+            "The file contains the Gaussians as simulated, without the look of the videos "
+            f"(surfaces of liquids, light on grains), because {why}. {remedy}"
+        ]
 
     def _find_format(self) -> Format:
         if self.to in get_args(Filmed) and self.to not in written_formats():
@@ -169,18 +183,18 @@ class Export:
                 pieces, axes = load_pieces(self.surface)
                 write_moved(path, clip, fit_to_clip(pieces, clip, axes), progress=bars)
                 return [path]
-            chosen.write_clip(path, clip, progress=bars)
+            chosen.write_motion(path, clip, drawn_frames(clip), progress=bars)
             return [path]
         if self.all:
             path = self.out or self.clip.with_name(f"{self.clip.stem}-{chosen.name}")
-            frames = drawn_frames(clip, View())
+            frames = drawn_frames(clip)
             form: Any = {"write": chosen.write, "suffix": chosen.suffix, "name": self.clip.stem}
             names = write_sequence(path, clip, **form, frames=frames, progress=bars)
             return [path] if path.is_file() else [path / name for name in names]
         index = self.frame or 0
         name = f"{self.clip.stem}_{index + 1:04}{chosen.suffix}"
         path = self.out or self.clip.with_name(name)
-        shine, frame = make_shine(clip, View()), clip.frame(index)
+        shine, frame = make_shine(clip), clip.frame(index)
         chosen.write(path, (frame if shine is None else shine.shape(frame)).gaussians)
         return [path]
 

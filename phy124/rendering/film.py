@@ -301,8 +301,8 @@ def write_player(path: PathLike, clip: Clip, view: View, side: str) -> None:
 
 
 def _usd(clip: Clip, view: View, folder: Path, progress: Progress) -> Path:
-    del view
-    write_usd(folder / "clip.usdc", clip, progress=progress)
+    frames = drawn_frames(clip, view)
+    write_usd(folder / "clip.usdc", clip, frames=frames, progress=progress)
     return folder / "clip.usdc"
 
 

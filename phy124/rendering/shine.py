@@ -26,7 +26,7 @@ from phy124.rendering.liquid import NOWHERE, Liquid, Planes, Surface, smoothstep
 from phy124.rendering.matte import find_matte, illuminate
 from phy124.rendering.stage.build import boundaries_of
 from phy124.rendering.stage.solids import place_walls
-from phy124.scene import View
+from phy124.scene import Scene, View
 
 KEPT = 256 * 2**20
 """Memory for liquid surfaces that further views reuse [bytes]."""
@@ -231,8 +231,12 @@ class Shine:
                 del self._surfaces[next(iter(self._surfaces))]
 
 
-def make_shine(clip: Clip, view: View) -> Shine | None:
-    """Return the gloss of a clip, or None if no material is glossy or the view disables gloss."""
+def make_shine(clip: Clip, view: View | None = None) -> Shine | None:
+    """Return the gloss of a clip, or None if no material is glossy or the view disables gloss.
+
+    The default view is that of the clip's scene.
+    """
+    view = view or Scene.of_clip(clip.scene).view
     shine = Shine(clip) if view.shine else None
     return shine if shine is not None and shine.any else None
 
@@ -246,10 +250,14 @@ def add_gloss(clip: Clip, view: View) -> tuple[Clip, dict[str, Any] | None]:
     return (clip, None) if shine is None else shine.pack(clip)
 
 
-def drawn_frames(clip: Clip, view: View) -> Iterator[Frame]:
-    """Yield the frames of a clip with liquids shaped for rendering, but without reflections."""
+def drawn_frames(clip: Clip, view: View | None = None) -> Iterator[Frame] | None:
+    """Return the frames as they are drawn, but without reflections; None if the clip's own frames
+    are drawn.
+
+    The default view is that of the clip's scene.
+    """
     shine = make_shine(clip, view)
-    return clip.frames() if shine is None else map(shine.shape, clip.frames())
+    return None if shine is None else map(shine.shape, clip.frames())
 
 
 def runs_of(which: NDArray) -> list[list[int]]:

@@ -45,14 +45,6 @@ class Encoder(Protocol):
         ...
 
 
-class ClipWriter(Protocol):
-    """Writes all frames of a clip into one file."""
-
-    def __call__(self, path: Path, clip: Clip, *, progress: Progress = silent) -> None:
-        """Write a clip that is in the axes of phy124."""
-        ...
-
-
 @dataclass(frozen=True)
 class Format:
     """A format for files of Gaussians, with its reader and its writers."""
@@ -78,8 +70,14 @@ class Format:
     """Up and front directions that the format prescribes."""
     read: Callable[[Path], Content] | None = None
     encode: Encoder | None = None
-    write_clip: ClipWriter | None = None
-    """Function that writes all frames into one file; None if a file stores only one frame."""
+    write_clip: Callable[..., None] | None = None
+    """Function that writes all frames of a clip in the axes of phy124 into one file; None if a file
+    stores only one frame.
+    """
+    draws: bool = False
+    """Whether `write_clip` has the keyword `frames`, because a file stores the colour and opacity
+    of each Gaussian in each frame.
+    """
     package: str | None = None
     """Package that must be installed to write the format; None if no package is needed."""
     signs: tuple[bytes, ...] = ()
@@ -104,6 +102,27 @@ class Format:
         there = rotate_gaussians(gaussians, orientation(*self.axes).T)
         with replacing(path) as temporary:
             temporary.write_bytes(self.encode(there, antialiased=antialiased))
+
+    def write_motion(
+        self,
+        path: Path,
+        clip: Clip,
+        frames: Iterable[Frame] | None = None,
+        *,
+        progress: Progress = silent,
+    ) -> None:
+        """Write all frames into one file atomically.
+
+        Args:
+            path: The file.
+            clip: The clip.
+            frames: The frames as they are drawn, which are used if `draws` is set; None: the clip's
+                own frames.
+            progress: Function that is called as progress("export", steps done, total steps).
+        """
+        assert self.write_clip is not None, f"{self.name} stores no motion"
+        drawn = {"frames": frames} if self.draws else {}
+        self.write_clip(path, clip, progress=progress, **drawn)
 
 
 FORMATS = {
@@ -150,13 +169,14 @@ FORMATS = {
         Format(
             "usd", "OpenUSD", ".usdc", "everything, in float32, and its motion",
             "Isaac Sim, Omniverse, Houdini Solaris, Kaolin, Newton", 44,
-            objects="primvar `objectId`", axes=("z", "x"), write_clip=write_usd, package="pxr",
-            other_suffixes=(".usda", ".usd"),
+            objects="primvar `objectId`", axes=("z", "x"), write_clip=write_usd, draws=True,
+            package="pxr", other_suffixes=(".usda", ".usd"),
         ),
         Format(
             "4dgs", "4DGS container", ".4dgs", "motion, within bounds that the file declares",
             "programs with the fourdgs libraries", 5,
-            degree=0, axes=Y_UP, write_clip=write_fourdgs, package="fourdgs",
+            degree=0, axes=Y_UP, write_clip=write_fourdgs, draws=True,
+            package="fourdgs",
         ),
         Format(
             "p4d", "P4D", ".p4d", "first frame as SOG, and motion to 0.1 % of the size",

@@ -4,12 +4,14 @@ The format is the open container of 4dgs.dev, version 1, model `keyframe-delta`.
 library (package fourdgs, Apache-2.0) encodes the records. Its function `write_sequence` would keep
 all frames in memory, so this module writes the frames one by one. The declared error bound is 2 %
 of the first frame's median scale for positions, 0.5 % for scales, 0.0005 for rotations, and 0.5 /
-255 for colours and opacities. Colours are constant and of degree 0. The axes are those of glTF: y
+255 for colours and opacities. Colours are of degree 0. The axes are those of glTF: y
 up, z to the front, metres.
 """
 
 import os
+from collections.abc import Iterable
 from functools import partial
+from itertools import chain
 from types import SimpleNamespace
 from typing import IO, Any
 
@@ -17,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phy124.errors import InputError
-from phy124.gaussians import Gaussians
+from phy124.gaussians import Frame, Gaussians
 from phy124.io.axes import orientation, rotate_gaussians
 from phy124.io.clip import Clip
 from phy124.io.content import Y_UP
@@ -43,8 +45,21 @@ FOREVER = 1e6
 """
 
 
-def write_fourdgs(path: str | os.PathLike[str], clip: Clip, *, progress: Progress = silent) -> None:
+def write_fourdgs(
+    path: str | os.PathLike[str],
+    clip: Clip,
+    *,
+    frames: Iterable[Frame] | None = None,
+    progress: Progress = silent,
+) -> None:
     """Write a clip as a .4dgs file, atomically; this needs the extra `fourdgs`.
+
+    Args:
+        path: The file.
+        clip: The clip.
+        frames: The frames as they are drawn, with varying colours and opacities; None: the clip's
+            own frames.
+        progress: Function that is called as progress("export", frames done, total frames).
 
     Raises:
         InputError: If fourdgs is not installed, the clip is empty, or the file cannot be written.
@@ -54,9 +69,11 @@ def write_fourdgs(path: str | os.PathLike[str], clip: Clip, *, progress: Progres
     times = clip.times - clip.times[0]
     duration = float(times[-1] + (times[-1] / (len(clip) - 1) if len(clip) > 1 else STILL))
     with replacing(path) as temporary, open(temporary, "wb") as file:
-        sequence = _Sequence(library, file, clip, [*times.tolist(), duration])
-        for index, frame in enumerate(clip.frames()):
-            sequence.append(index, _turn(frame.gaussians))
+        shown = map(_turn, (f.gaussians for f in (clip.frames() if frames is None else frames)))
+        first = next(shown)
+        sequence = _Sequence(library, file, first, [*times.tolist(), duration])
+        for index, gaussians in enumerate(chain([first], shown)):
+            sequence.append(index, gaussians)
             progress("export", index + 1, len(clip))
         sequence.finish()
 
@@ -92,24 +109,28 @@ def _turn(gaussians: Gaussians) -> Gaussians:
 
 
 class _Sequence:
-    def __init__(self, library: Any, file: IO[bytes], clip: Clip, times: list[float]) -> None:
-        """`times` [s] contains the start of each frame, and the end of the last frame."""
+    def __init__(self, library: Any, file: IO[bytes], first: Gaussians, times: list[float]) -> None:
+        """`first` are the Gaussians of the first frame; `times` [s] contains the start of each
+        frame, and the end of the last frame.
+        """
         self._library, self._file, self._times = library, file, times
         self._cadence = library.writer.KeyframeDeltaOptions(keyframe_every=KEYFRAME)
-        first = _turn(clip.frame(0).gaussians)
         self._count = len(first)
         quantization, median = library.quantization, float(np.median(first.scales))
         bounds = quantization.Bounds.for_profile(PROFILE, median_scale=median)
         steps, windows = quantization.Steps.of(bounds), [(0.0, float(np.float32(times[-1])))]
-        ends = np.array([(m.min(axis=0), m.max(axis=0)) for m in clip.means], np.float64)
-        corners = ends.reshape(-1, 3) @ orientation(*Y_UP)
-        box = np.stack([corners.min(axis=0), corners.max(axis=0)])
-        self._grids = library.Grids(steps, bounds, box[0], windows, CUTOFF)
-        box = quantization.dequantize(
-            quantization.quantize(box, steps.pos, box[0]), steps.pos, box[0]
-        )
-        self._box = box.ravel().tolist()
-        self._still = self._quantise_still(first)
+        origin = first.means.min(axis=0).astype(np.float64)
+        self._grids = library.Grids(steps, bounds, origin, windows, CUTOFF)
+        self._box = np.stack([origin, origin])
+        zeros = np.zeros((self._count, 1), np.int64)
+        sigma = zeros + quantization.quantize(np.log(FOREVER), steps.sigma_log)
+        op = library.op
+        self._still: Bins = {
+            op.A_MOTION: np.zeros((self._count, 3), np.int64),
+            op.A_SIGMA_T: sigma,
+            op.A_FLAGS: zeros,
+            op.A_WINDOW_INDEX: zeros,
+        }
         self._index: list[Any] = []
         self._write_head()
 
@@ -124,19 +145,22 @@ class _Sequence:
             gaussian_count=self._count,
             chunk_count=len(self._index),
             duration_sec=self._times[-1],
-            aabb=self._box,
+            aabb=self._box.ravel().tolist(),
         )
         summary = b"".join(entry.encode() for entry in [*self._index, statistics])
         crc = self._library.coding.crc32(summary)
         footer = records.Footer(summary_start=start, summary_offset_start=0, summary_crc=crc)
         self._file.write(summary + footer.encode() + self._library.coding.MAGIC)
+        self._file.seek(0)
+        self._write_head()
 
     def _write_head(self) -> None:
+        """Write the header, whose length does not depend on the box of the centres."""
         records, grids = self._library.records, self._grids
         header = records.Header(
             duration_sec=self._times[-1],
             gaussian_count=self._count,
-            aabb=self._box,
+            aabb=self._box.ravel().tolist(),
             profile=PROFILE,
             library="phy124",
             temporal_model="keyframe-delta",
@@ -153,26 +177,23 @@ class _Sequence:
         head = [header.encode(), quantization.encode(), windows.encode()]
         self._file.write(b"".join([self._library.coding.MAGIC, *head]))
 
-    def _quantise_still(self, gaussians: Gaussians) -> Bins:
-        op, steps, quantization = self._library.op, self._grids.steps, self._library.quantization
-        zeros = np.zeros((self._count, 1), np.int64)
-        return {
-            op.A_COLOR: quantization.rct_forward(quantization.quantize(gaussians.rgb, steps.rgb)),
-            op.A_OPACITY: quantization.quantize(gaussians.opacities, steps.alpha)[:, None],
-            op.A_MOTION: np.zeros((self._count, 3), np.int64),
-            op.A_SIGMA_T: zeros + quantization.quantize(np.log(FOREVER), steps.sigma_log),
-            op.A_FLAGS: zeros,
-            op.A_WINDOW_INDEX: zeros,
-        }
-
     def _quantise(self, gaussians: Gaussians, time: float) -> Bins:
         op, grids, quantization = self._library.op, self._grids, self._library.quantization
         quats = np.roll(gaussians.quats, -1, axis=1)
         largest, rest = quantization.quantize_rotation(quats, grids.steps.rot)
         scales = np.log(np.maximum(gaussians.scales.astype(np.float64), 1e-30))
         step = grids.mu_step(self._still[op.A_SIGMA_T][:1, 0], np.zeros(1, bool))
+        places = quantization.quantize(gaussians.means, grids.steps.pos, grids.origin)
+        ends = quantization.dequantize(
+            np.stack([places.min(axis=0), places.max(axis=0)]), grids.steps.pos, grids.origin
+        )
+        low, high = np.minimum(self._box, ends)[0], np.maximum(self._box, ends)[1]
+        self._box = np.stack([low, high])
+        rgb = quantization.quantize(gaussians.rgb, grids.steps.rgb)
         return self._still | {
-            op.A_POSITION: quantization.quantize(gaussians.means, grids.steps.pos, grids.origin),
+            op.A_POSITION: places,
+            op.A_COLOR: quantization.rct_forward(rgb),
+            op.A_OPACITY: quantization.quantize(gaussians.opacities, grids.steps.alpha)[:, None],
             op.A_SCALE: quantization.quantize(scales, grids.steps.scale_log),
             op.A_ROTATION_INDEX: largest.reshape(-1, 1),
             op.A_ROTATION: rest,

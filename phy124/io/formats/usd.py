@@ -5,14 +5,16 @@ Units and axes are those of phy124 (metres, z up). Opacities and scales are line
 """
 
 import os
+from collections.abc import Iterable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from phy124.errors import InputError
-from phy124.gaussians import Gaussians
+from phy124.gaussians import Array, Frame, Gaussians
 from phy124.io.clip import Clip
 from phy124.io.files import replacing
 from phy124.progress import Progress, silent
@@ -26,10 +28,23 @@ REACH = 3.0
 """The prim's bounding box contains each Gaussian up to this number of standard deviations."""
 
 
-def write_usd(path: str | os.PathLike[str], clip: Clip, *, progress: Progress = silent) -> None:
+def write_usd(
+    path: str | os.PathLike[str],
+    clip: Clip,
+    *,
+    frames: Iterable[Frame] | None = None,
+    progress: Progress = silent,
+) -> None:
     """Write a clip as .usdc (binary), .usda (text) or .usd; this needs the extra `usd`.
 
     One time code is one frame. The file is written atomically.
+
+    Args:
+        path: The file.
+        clip: The clip.
+        frames: The frames as they are drawn, with varying colours and opacities; None: the clip's
+            own frames.
+        progress: Function that is called as progress("export", frames done, total frames).
 
     Raises:
         InputError: If usd-core is not installed or too old, the clip is empty, or the file cannot
@@ -42,11 +57,15 @@ def write_usd(path: str | os.PathLike[str], clip: Clip, *, progress: Progress = 
     clip.refuse_empty()
     with replacing(path) as temporary:
         stage, splats = _stage(pxr, temporary, clip)
-        for index, frame in enumerate(clip.frames()):
+        varies = frames is not None or clip.rotations is not None
+        for index, frame in enumerate(clip.frames() if frames is None else frames):
             code = pxr.Usd.TimeCode(float(frame.time - clip.times[0]) * clip.fps)
             _sample(pxr, splats, frame.gaussians, code)
-            if index == 0 or clip.rotations is not None:
-                _colour(pxr, splats, frame.gaussians, code if clip.rotations is not None else None)
+            if index == 0 or varies:
+                _colour(pxr, splats, frame.gaussians, code if varies else None)
+            if frames is not None:
+                opacities = pxr.Vt.FloatArray.FromNumpy(_flat(frame.gaussians.opacities))
+                splats.GetOpacitiesAttr().Set(opacities, code)
             save_at_times(stage, index)
             progress("export", index + 1, len(clip))
         stage.GetRootLayer().Save()
@@ -75,7 +94,7 @@ def _stage(pxr: Any, path: Path, clip: Clip) -> tuple[Any, Any]:
     set_times(stage, clip)
     splats = pxr.Schema.Define(stage, "/Splats")
     stage.SetDefaultPrim(splats.GetPrim())
-    splats.CreateOpacitiesAttr(pxr.Vt.FloatArray.FromNumpy(np.ascontiguousarray(clip.opacities)))
+    splats.CreateOpacitiesAttr(pxr.Vt.FloatArray.FromNumpy(_flat(clip.opacities)))
     splats.CreateRadianceSphericalHarmonicsDegreeAttr(clip.frame(0).gaussians.sh_degree)
     if clip.object_id is not None:
         api = pxr.UsdGeom.PrimvarsAPI(splats.GetPrim())
@@ -84,6 +103,10 @@ def _stage(pxr: Any, path: Path, clip: Clip) -> tuple[Any, Any]:
         api.CreatePrimvar("objectId", integers, pxr.UsdGeom.Tokens.vertex).Set(ids)
         splats.GetPrim().SetCustomDataByKey("objects", pxr.Vt.StringArray(list(clip.objects)))
     return stage, splats
+
+
+def _flat(opacities: Array) -> NDArray[np.float32]:
+    return np.ascontiguousarray(opacities, np.float32)
 
 
 def save_at_times(stage: Any, index: int) -> None:
