@@ -6,6 +6,7 @@ from typing import cast
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from phy124.__main__ import main
 from phy124.camera import Camera
@@ -301,6 +302,22 @@ def test_points_of_a_clip_need_enough_gaussians_or_its_object(tmp_path):
         Target(Fit.from_data({"target": path, "find": find, "gaussians": 8}))
     with pytest.raises(InputError, match=r"away from the object.* Remove --object, or"):
         Target(Fit.from_data({"target": path, "find": find, "object": flat}))
+
+
+def test_a_clip_tells_where_its_object_lies_in_a_picture(tmp_path):
+    path, find = str(tmp_path / "clip.safetensors"), {"material.E": "1e4..1e5"}
+    Image.fromarray(np.uint8([[0, 255]])).save(tmp_path / "stiff.png")
+    data = {"accuracy": {"cells": 4}, "time": {"frames": 2}, "boundaries": []}
+    data["stiffness"] = {"kind": "picture", "file": str(tmp_path / "stiff.png")}
+    crop = (0.5, 0.0, 1.0, 1.0)
+    setup = prepare(ball(400), Scene.from_data(data), RunContext(threads=1), crop=crop)
+    clip = Simulation(setup).run()
+    clip.save(path)
+    assert Target(Fit.from_data({"target": path, "find": find})).crop == crop
+    old = {key: value for key, value in clip.report.items() if key != "crop"}
+    clip.with_report(old).save(path)
+    with pytest.raises(InputError, match=r"stiffness\.file = .*older version.* Generate the clip"):
+        Target(Fit.from_data({"target": path, "find": find}))
 
 
 def test_between_frames_a_spline_is_read():

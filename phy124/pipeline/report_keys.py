@@ -275,6 +275,10 @@ class Report(TypedDict):
     """Method that cut the object out of the picture; null if there is no picture."""
     cutout: CutOut | None
     """Details of the cut-out; null if there is no picture."""
+    crop: list[float]
+    """Left, top, right and bottom of the first object in its picture, as fractions of the width and
+    height. Painted masks and stiffness pictures refer to this picture.
+    """
     generator: str | None
     """Name of the generator, or the file of Gaussians."""
     inputs: NotRequired[dict[str, str]]

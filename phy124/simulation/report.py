@@ -40,6 +40,7 @@ def report_run(run: Run) -> dict[str, Any]:
         "mass": float(particles.mass.sum()),
         **dict(zip(Proportions._fields, setup.proportions or (None, None), strict=True)),
         "cleaning": setup.cleaning,
+        "crop": list(setup.crop),
         "notes": _notes(run),
         "unregistered": [*run.scene.unregistered],
         "grid": {"dx": solver.model.dx, "window": solver.grid.size.tolist()},

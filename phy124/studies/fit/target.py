@@ -18,6 +18,7 @@ from phy124.pipeline import make_gaussians
 from phy124.rendering.framing import cameras
 from phy124.runtime.context import RunContext
 from phy124.scene import Scene
+from phy124.scene.files import files_named
 from phy124.simulation import Simulation, prepare
 from phy124.studies.fit.declaration import Fit
 from phy124.studies.fit.observation import (
@@ -170,8 +171,8 @@ def _read_object(declared: Fit, clip: Clip | None) -> tuple[Scene, Gaussians, Cr
     else:
         scene = Scene.named(declared.scene or "press").replaced(changes)
     if source is not None:
-        gaussians = source.surface.frame(0).gaussians
-        return scene, thin(gaussians, declared.gaussians, seed=scene.seed), WHOLE
+        gaussians = thin(source.surface.frame(0).gaussians, declared.gaussians, seed=scene.seed)
+        return scene, gaussians, _crop_of(source, scene)
     if declared.object is None:
         limit = "no object is set."
         raise InputError(
@@ -181,6 +182,22 @@ def _read_object(declared: Fit, clip: Clip | None) -> tuple[Scene, Gaussians, Cr
     path = os.fspath(declared.object)
     made = make_gaussians(path, scene, generator="relief" if needs_image(path) else path, **options)
     return made.scene, made.gaussians, made.crop
+
+
+def _crop_of(clip: Clip, scene: Scene) -> Crop:
+    """Return the position of a clip's first object in the picture of its painted masks.
+
+    Raises:
+        InputError: The clip does not contain this position, but the scene needs it.
+    """
+    if "crop" in clip.report:
+        left, top, right, bottom = clip.report["crop"]
+        return left, top, right, bottom
+    for field, path in files_named(scene):
+        if field.startswith(("parts.", "stiffness.")):
+            limit = "an older version made the clip, which lacks the object's place in this image."
+            raise InputError(field, path, limit, "Generate the clip again.")
+    return WHOLE
 
 
 def _tracks(clip: Clip) -> Table:
