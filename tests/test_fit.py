@@ -320,6 +320,21 @@ def test_a_clip_tells_where_its_object_lies_in_a_picture(tmp_path):
         Target(Fit.from_data({"target": path, "find": find}))
 
 
+def test_forces_between_objects_and_on_parts_of_walls_are_read(tmp_path):
+    path = str(tmp_path / "clip.safetensors")
+    inside = {"lower": [-3, -3, 0], "upper": [3, 3, 3]}
+    walls = [{"kind": "container", "inside": inside}]
+    data = {"time.frames": 2, "accuracy.cells": 4, "wrenches": True, "boundaries": walls}
+    scene = Scene.named("collide").replaced(data)
+    clip = Simulation(prepare(ball(400), scene, RunContext(threads=1))).run()
+    clip.save(path)
+    target = Target(Fit.from_data({"target": path, "find": {"material.E": "1e4..1e5"}}))
+    forces = clip.wrenches[:, :, 0].ravel()
+    assert {"container_z_low", "left_on_right"} <= set(clip.walls)
+    assert np.array_equal(target.observations.measured[-forces.size :], forces)
+    assert np.array_equal(target.observations.predict(clip)[-forces.size :], forces)
+
+
 def test_between_frames_a_spline_is_read():
     times = np.arange(6) / 10
     assert at_times(times, times**3, np.array([0.25]))[0] == pytest.approx(0.25**3, rel=1e-6)

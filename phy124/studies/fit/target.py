@@ -12,7 +12,6 @@ from phy124.gaussians import Gaussians
 from phy124.generators import needs_image
 from phy124.imaging.painted import WHOLE, Crop
 from phy124.io.clip import Clip
-from phy124.monitor.wrenches import wall_names
 from phy124.particles.thinning import thin
 from phy124.pipeline import make_gaussians
 from phy124.rendering.framing import cameras
@@ -69,13 +68,14 @@ class Target:
             self.film = read_film(path)
         measured = self._forces(clip)
         self._end(clip, table, measured)
+        if measured is not None:
+            self.scene = self.scene.model_copy(update={"wrenches": True})
         still, context = self.scene.replaced({"time.frames": 1}), RunContext(threads=1)
         setup = prepare(self.gaussians, still, context, crop=self.crop)
         self.rest = Simulation(setup).run().surface
         parts = [self._seen(clip, table)]
         if measured is not None:
-            self.scene = self.scene.model_copy(update={"wrenches": True})
-            parts.append(Forces(measured, tuple(wall_names(self.scene.boundaries))))
+            parts.append(Forces(measured, self.rest.walls))
         self.observations = Observations(parts)
 
     @property
