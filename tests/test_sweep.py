@@ -368,21 +368,42 @@ def test_a_driver_of_many_clips_remembers_little_of_each():
 
 def test_many_rows_become_one_table_whatever_their_columns(tmp_path, monkeypatch):
     monkeypatch.setattr(manifest, "BATCH", 3)
-    storage, asked = Storage(str(tmp_path)), {4: "soft", 5: "soft"}
-    for index in range(8):
-        clip = Item(index, "a.ply", "relief", {"material.E": asked.get(index, 10.0 * index)})
-        status = "failed" if index == 2 else "done"
-        write_row(storage, f"{index}" * 24, clip, {"status": status})
-    clip = Item(2, "a.ply", "relief", {"material.E": 20.0})
-    assert manifest.write_manifest(storage) == 7
+    storage, soft = Storage(str(tmp_path)), {4: "soft", 5: "soft"}
+    clips = [
+        (f"{index}" * 24, Item(index, "a", "relief", {"E": soft.get(index, 10.0 * index)}))
+        for index in range(8)
+    ]
+    for key, clip in clips:
+        status = "failed" if clip.index == 2 else "done"
+        write_row(storage, key, clip, {"status": status})
+    assert manifest.write_manifest(storage, clips) == 8
     assert [row["status"] for row in read_manifest(storage)].count("failed") == 1
-    write_row(storage, "2" * 24, clip, {"status": "done"})
-    assert manifest.write_manifest(storage) == 7
+    write_row(storage, *clips[2], {"status": "done"})
+    assert manifest.write_manifest(storage, [*clips, clips[0]]) == 8
     rows = read_manifest(storage)
     assert {row["status"] for row in rows} == {"done"}
-    assert [row["index"] for row in rows] == [0, 1, 2, 3, 5, 6, 7]
-    assert rows[4]["set.material.E"] == "soft" and float(rows[1]["set.material.E"]) == 10
-    assert sorted(manifest.keys_in(storage)) == [f"{index}" * 24 for index in range(8)]
+    assert [row["index"] for row in rows] == list(range(8))
+    assert rows[4]["set.E"] == "soft" and float(rows[1]["set.E"]) == 10
+    assert sorted(manifest.keys_in(storage)) == [key for key, _ in clips]
+
+
+def test_the_manifest_has_exactly_the_clips_of_the_present_plan(balls, tmp_path):
+    def plan(scene, *stiffness):
+        axes = {"accuracy.cells": 8, "time.frames": 2, "material.E": [*stiffness]}
+        return Plan(declared(balls, pictures=str(balls / "a.ply"), scene=scene, set=axes))
+
+    out = str(tmp_path)
+    for scene, stiffness, ended in (
+        ("drop", (1e4, 1e5), {"done": 2}),
+        ("press", (1e5,), {"done": 1}),
+        ("drop", (1e5, 1e6), {"done": 1}),
+    ):
+        assert run(plan(scene, *stiffness), out, workers=0).ended == ended
+        data = Dataset(out)
+        assert [row["index"] for row, _ in data] == list(range(len(stiffness)))
+        assert [row["set.material.E"] for row, _ in data] == list(stiffness)
+        assert [clip.scene["material"]["E"] for _, clip in data] == list(stiffness)
+        assert {clip.scene["object"]["lift"] > 0 for _, clip in data} == {scene == "drop"}
 
 
 def test_tasks_reserve_what_their_scenes_need():

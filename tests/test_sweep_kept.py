@@ -83,7 +83,7 @@ def test_a_missing_encoder_is_refused_before_the_first_clip(tmp_path, plan, monk
 def test_ctrl_c_on_a_full_disk_is_still_ctrl_c(tmp_path, plan, monkeypatch):
     """The manifest, which is written last, has no room; the next run makes it."""
 
-    def fail(storage):
+    def fail(storage, clips):
         raise OSError(28, "No space left on device")
 
     def stop(stage, done, total):

@@ -4,7 +4,7 @@ key are made only once.
 
 import hashlib
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -13,11 +13,12 @@ import numpy as np
 import warp as wp
 
 import phy124
+from phy124.errors import InputError
 from phy124.generators import WEIGHTS, needs_image
 from phy124.scene import Scene
 from phy124.scene.files import files_named
 from phy124.studies.sweep.declaration import Sweep
-from phy124.studies.sweep.plan import Item
+from phy124.studies.sweep.plan import Item, Plan
 from phy124.studies.sweep.storage import fetch, stamp
 from phy124.weights.store import KNOWN, find
 
@@ -47,6 +48,15 @@ def key_of(sweep: Sweep, item: Item, scene: Scene) -> str:
         "code": code(),
     }
     return _digest_of(inputs)
+
+
+def keys_in_plan(plan: Plan) -> Iterator[tuple[str, Item]]:
+    """Yield the key and the settings of each clip of a sweep."""
+    for item in plan:
+        try:
+            yield key_of(plan.sweep, item, plan.scene_of(item)), item
+        except InputError:
+            yield key_of_request(item.picture, item.generator, item.changes), item
 
 
 def key_of_request(picture: str, generator: str, changes: dict[str, Any]) -> str:

@@ -6,18 +6,20 @@ is assembled from columns, because rows of Python objects would need ten times a
 
 import io
 import json
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from itertools import islice
 from pathlib import PurePosixPath
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from phy124.errors import InputError
 from phy124.runtime.installation import install_command
 from phy124.studies.sweep.keys import Seen
+from phy124.studies.sweep.plan import Item
 from phy124.studies.sweep.storage import Storage
-from phy124.studies.sweep.work import FAILED, Row
+from phy124.studies.sweep.work import FAILED, Row, settings_of
 
 MANIFEST = "manifest.parquet"
 BATCH = 2048
@@ -45,22 +47,30 @@ def flat(row: Row) -> Row:
     return {**plain, **set_, **seconds}
 
 
-def write_manifest(storage: Storage) -> int:
-    """Write the table of all clips in the order of their indices; return their number.
+def write_manifest(storage: Storage, clips: Iterable[tuple[str, Item]]) -> int:
+    """Write the table of a plan's finished clips in the order of the plan; return their number.
 
-    If a clip has several rows, the table contains only the newest row. A new row is written if the
-    picture or the code has changed.
+    The settings of a clip are those of the plan, even if another plan made the clip.
+
+    Args:
+        storage: The sweep's storage, which may also contain clips of other plans.
+        clips: Key and settings of each clip of the plan. Clips with the same key are listed once.
     """
     arrow, parquet = load_arrow()
-    tables = list(_tables(storage, arrow))
-    if not tables:
+    keys = Seen()
+    settings = list(_settings(storage, clips, keys, arrow))
+    results = list(_results(storage, keys, arrow))
+    if not results:
         return 0
-    whole = arrow.concat_tables(_alike(tables, arrow), promote_options="permissive")
-    whole = whole.take(_last(whole))
+    plan, made = _combine(settings, arrow), _combine(results, arrow)
+    made = made.take(_newest(made, plan["key"].to_numpy().astype("S")))
+    for name in made.column_names:
+        if name not in plan.column_names:
+            plan = plan.append_column(name, made[name])
     written = io.BytesIO()
-    parquet.write_table(whole, written)
+    parquet.write_table(plan, written)
     storage.write(MANIFEST, written.getvalue())
-    return len(whole)
+    return len(plan)
 
 
 def read_manifest(storage: Storage) -> list[Row]:
@@ -81,18 +91,56 @@ def read_manifest(storage: Storage) -> list[Row]:
     return table.to_pylist()
 
 
-def _tables(storage: Storage, arrow: Any) -> Iterator[Any]:
+def _settings(
+    storage: Storage, clips: Iterable[tuple[str, Item]], keys: Seen, arrow: Any
+) -> Iterator[Any]:
+    """Yield tables of the settings of a plan's finished clips, and add their keys to `keys`."""
+    there = Seen(map(_key, _names(storage)))
+
+    def rows() -> Iterator[Row]:
+        for key, item in clips:
+            if key in there and key not in keys:
+                keys.add(key)
+                yield {"key": key, **settings_of(item)}
+
+    return _tables(rows(), arrow)
+
+
+def _results(storage: Storage, keys: Seen, arrow: Any) -> Iterator[Any]:
+    """Yield tables of the results of the clips with these keys, without their settings."""
     known = Seen()
     if (table := _read(storage)) is not None:
         there, rows = Seen(keys_in(storage)), table.select(["key", "status"]).to_pylist()
         # A clip that failed earlier may have succeeded since then.
-        table = table.filter([r["status"] != "failed" and r["key"] in there for r in rows])
+        kept = [r["status"] != "failed" and r["key"] in there and r["key"] in keys for r in rows]
+        results = [name for name in table.column_names if not _is_setting(name)]
+        table = table.select(results).filter(kept)
         known = Seen(table["key"].to_pylist())
-        yield table
-    new = (name for name in _names(storage) if name.endswith(FAILED) or _key(name) not in known)
-    while rows := [flat(json.loads(storage.read(name))) for name in islice(new, BATCH)]:
-        columns = dict.fromkeys(key for row in rows for key in row)
-        yield arrow.table({name: _column([row.get(name) for row in rows]) for name in columns})
+        if len(table):
+            yield table
+    new = (
+        name
+        for name in _names(storage)
+        if _key(name) in keys and (name.endswith(FAILED) or _key(name) not in known)
+    )
+    rows = (json.loads(storage.read(name)) for name in new)
+    yield from _tables(
+        ({n: v for n, v in row.items() if not _is_setting(n)} for row in rows), arrow
+    )
+
+
+def _is_setting(name: str) -> bool:
+    return name in ("index", "picture", "generator", "set") or name.startswith("set.")
+
+
+def _tables(rows: Iterator[Row], arrow: Any) -> Iterator[Any]:
+    while batch := [flat(row) for row in islice(rows, BATCH)]:
+        columns = dict.fromkeys(key for row in batch for key in row)
+        yield arrow.table({name: _column([row.get(name) for row in batch]) for name in columns})
+
+
+def _combine(tables: list[Any], arrow: Any) -> Any:
+    return arrow.concat_tables(_alike(tables, arrow), promote_options="permissive")
 
 
 def _alike(tables: list[Any], arrow: Any) -> list[Any]:
@@ -108,12 +156,11 @@ def _alike(tables: list[Any], arrow: Any) -> list[Any]:
     return [table.cast(arrow.schema(map(convert, table.schema))) for table in tables]
 
 
-def _last(table: Any) -> Any:
-    asked = table["asked"].to_numpy().astype("S")
-    order = np.lexsort((table["written"].to_numpy(), asked))
-    newest = np.append(asked[order][1:] != asked[order][:-1], True)
-    places = order[newest]
-    return places[np.argsort(table["index"].to_numpy()[places], kind="stable")]
+def _newest(table: Any, keys: NDArray) -> NDArray:
+    """Return the place of the newest row of each key in a table; each key has a row."""
+    rows = table["key"].to_numpy().astype("S")
+    order = np.lexsort((table["written"].to_numpy(), rows))
+    return order[np.searchsorted(rows[order], keys, side="right") - 1]
 
 
 def _names(storage: Storage) -> Iterator[str]:

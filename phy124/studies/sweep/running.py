@@ -10,7 +10,7 @@ from phy124.errors import Incomplete, InputError
 from phy124.progress import Progress, silent
 from phy124.rendering.film import refuse_missing_writers
 from phy124.studies.sweep.cost import Remaining
-from phy124.studies.sweep.keys import Seen, key_of, key_of_request
+from phy124.studies.sweep.keys import Seen, key_of, key_of_request, keys_in_plan
 from phy124.studies.sweep.manifest import keys_in, load_arrow, sweep_rows, write_manifest
 from phy124.studies.sweep.on_ray import in_turn, on_ray
 from phy124.studies.sweep.plan import Item, Plan
@@ -94,10 +94,10 @@ def run(
             remaining.note_finished(row)
             counts.left = remaining.left(len(numbers) - counts.clips)
             beat()
-        write_manifest(storage)
+        write_manifest(storage, keys_in_plan(plan))
     except BaseException as error:
         with suppress(OSError):  # the next run writes the manifest from the row files
-            write_manifest(storage)
+            write_manifest(storage, keys_in_plan(plan))
         if isinstance(error, OSError) and stops_all(error):
             raise Incomplete(FULL.format(out)) from error
         raise

@@ -30,7 +30,6 @@ from phy124.runtime.startup import start
 from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene
 from phy124.simulation import Interrupted, Simulation, prepare
-from phy124.studies.sweep.keys import key_of_request
 from phy124.studies.sweep.plan import Item
 from phy124.studies.sweep.storage import Filling, Storage, fetch
 
@@ -225,17 +224,19 @@ def write_row(storage: Storage, key: str, clip: Item | Order, result: Row) -> Ro
     """
     row = {
         "key": key,
-        "asked": key_of_request(clip.picture, clip.generator, clip.changes),
-        "index": clip.index,
-        "picture": clip.picture,
-        "generator": clip.generator,
-        "set": clip.changes,
+        **settings_of(clip),
         "written": time.time(),
         **result,
     }
     ending = FAILED if row["status"] == "failed" else ".json"
     storage.write(f"rows/{key[0]}/{key}{ending}", json.dumps(row).encode())
     return row
+
+
+def settings_of(clip: Item | Order) -> Row:
+    """Return the columns of a row that contain the settings of a clip."""
+    settings = {"index": clip.index, "picture": clip.picture, "generator": clip.generator}
+    return {**settings, "set": clip.changes}
 
 
 def write_failed(order: Order, sentence: str) -> Row:
