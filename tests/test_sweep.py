@@ -249,6 +249,16 @@ def test_a_mended_picture_takes_the_place_of_its_refusal(balls, tmp_path):
     assert [row["status"] for row in rows] == ["done"] * 3
 
 
+def test_a_clip_refused_for_lack_of_memory_is_tried_again(balls, tmp_path, monkeypatch):
+    plan, out = Plan(declared(balls, pictures=str(balls / "a.ply"))), str(tmp_path)
+    with monkeypatch.context() as patch:
+        patch.setattr("phy124.budget.limits.free_memory", lambda *_: 1e6)
+        assert run(plan, out, workers=0).ended == {"refused": 3}
+    assert "memory" in read_manifest(Storage(out))[0]["sentence"]
+    assert run(plan, out, workers=0).ended == {"done": 3}
+    assert len(Dataset(out)) == 3
+
+
 def test_cancelling_keeps_what_is_made(balls, tmp_path):
     def stop(stage: str, done: int, total: int) -> None:
         if done == 2:
@@ -319,6 +329,7 @@ def test_the_report_has_a_picture_of_each_clip(made):
     storage = Storage(str(made))
     text = "\n".join(format_lines(storage))
     assert text.startswith("6 clips: 6 done") and "by material.E:" in text
+    assert "wall time per clip, with compilation [s]" in text
     expected = [row["expected_error"] for row in read_manifest(storage)]
     assert ("error bound from similar scenes" in text) == any(
         value is not None for value in expected

@@ -19,7 +19,7 @@ from phy124.runtime.installation import install_command
 from phy124.studies.sweep.keys import Seen
 from phy124.studies.sweep.plan import Item
 from phy124.studies.sweep.storage import Storage
-from phy124.studies.sweep.work import FAILED, Row, settings_of
+from phy124.studies.sweep.work import MADE, RETRY, Row, settings_of
 
 MANIFEST = "manifest.parquet"
 BATCH = 2048
@@ -30,7 +30,7 @@ FOLDERS = [f"rows/{digit:x}" for digit in range(16)]
 
 def keys_in(storage: Storage) -> Iterator[str]:
     """Yield the keys of finished clips."""
-    return (_key(name) for name in _names(storage) if not name.endswith(FAILED))
+    return (_key(name) for name in _names(storage) if not name.endswith(RETRY))
 
 
 def sweep_rows(storage: Storage) -> None:
@@ -111,8 +111,8 @@ def _results(storage: Storage, keys: Seen, arrow: Any) -> Iterator[Any]:
     known = Seen()
     if (table := _read(storage)) is not None:
         there, rows = Seen(keys_in(storage)), table.select(["key", "status"]).to_pylist()
-        # A clip that failed earlier may have succeeded since then.
-        kept = [r["status"] != "failed" and r["key"] in there and r["key"] in keys for r in rows]
+        # The rows of all other clips are read again.
+        kept = [r["status"] in MADE and r["key"] in there and r["key"] in keys for r in rows]
         results = [name for name in table.column_names if not _is_setting(name)]
         table = table.select(results).filter(kept)
         known = Seen(table["key"].to_pylist())
@@ -121,7 +121,7 @@ def _results(storage: Storage, keys: Seen, arrow: Any) -> Iterator[Any]:
     new = (
         name
         for name in _names(storage)
-        if _key(name) in keys and (name.endswith(FAILED) or _key(name) not in known)
+        if _key(name) in keys and (name.endswith(RETRY) or _key(name) not in known)
     )
     rows = (json.loads(storage.read(name)) for name in new)
     yield from _tables(

@@ -17,7 +17,7 @@ SHOWN = 600
 """Maximum number of thumbnails on the page."""
 BARS = 12
 MEASURES = (
-    ("seconds.clip", "CPU time per clip [s]"),
+    ("seconds.clip", "wall time per clip, with compilation [s]"),
     ("largest_force", "largest force on a wall [N]"),
     ("own_error", "error bound measured for the clip itself [object sizes]"),
     ("expected_error", "error bound from similar scenes, for all other clips [object sizes]"),

@@ -85,8 +85,12 @@ def _part(state: float, gpu_memory: float) -> float:
 
 Row = dict[str, Any]
 """A row of the manifest."""
-FAILED = ".failed.json"
-"""File extension of the rows of failed clips. The next run of the sweep makes these clips again."""
+MADE = ("done", "stopped")
+"""Statuses of clips that the next run of the sweep does not try again. A refused clip is tried
+again, because the refusal may depend on the machine: its free memory, packages and connection.
+"""
+RETRY = ".retry.json"
+"""File extension of the rows of clips that the next run of the sweep tries again."""
 THUMBNAIL = 96
 """Width and height of a thumbnail [pixels]."""
 
@@ -214,7 +218,7 @@ def clean_up(order: Order) -> bool:
 
 
 def write_row(storage: Storage, key: str, clip: Item | Order, result: Row) -> Row:
-    """Write the row of a clip, which marks the clip as finished, and return the row.
+    """Write the row of a clip, and return the row. If the clip was made, the row marks this.
 
     Args:
         storage: The sweep's storage.
@@ -228,7 +232,7 @@ def write_row(storage: Storage, key: str, clip: Item | Order, result: Row) -> Ro
         "written": time.time(),
         **result,
     }
-    ending = FAILED if row["status"] == "failed" else ".json"
+    ending = ".json" if row["status"] in MADE else RETRY
     storage.write(f"rows/{key[0]}/{key}{ending}", json.dumps(row).encode())
     return row
 
