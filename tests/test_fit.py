@@ -20,7 +20,7 @@ from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
 from phy124.studies.fit.budget import Budget, Outlook
 from phy124.studies.fit.declaration import Fit, parse_ranges
-from phy124.studies.fit.estimate import estimate
+from phy124.studies.fit.estimate import Estimate, estimate
 from phy124.studies.fit.interval import (
     bootstrap,
     extrapolate,
@@ -33,6 +33,7 @@ from phy124.studies.fit.interval import (
 from phy124.studies.fit.observation import Kind, Table, at_times, read_table, refuse_outside
 from phy124.studies.fit.points import Points
 from phy124.studies.fit.problem import Distance, differentiate
+from phy124.studies.fit.report import format_table, make_report
 from phy124.studies.fit.runs import Runs
 from phy124.studies.fit.search import refine
 from phy124.studies.fit.target import Target
@@ -429,6 +430,43 @@ def test_each_run_is_made_once_and_kept(tmp_path):
     assert (again.player.calls, again.kept, again.made) == (0, 3, [0, 0])
     assert runs.made == [3, 1]
     assert runs.seconds == 1.0
+
+
+def report_of(folder, *places, sampling):
+    """Report of a fit of E in 1e4..1e5 with these places on the grids 16 and 24."""
+    runs, size = runs_in(folder), np.array([sampling])
+    estimated = Estimate(
+        places=tuple(np.array([place]) for place in places),
+        misfits=tuple([] for _ in places),
+        grids=(16, 24)[: len(places)],
+        sampling=size,
+        model=0 * size,
+        correlation=np.eye(1),
+        notes=(),
+    )
+    target = SimpleNamespace(scene=Scene(), declared=Fit.from_data(
+        {"target": "x", "find": {"material.E": "1e4..1e5"}}))  # fmt: skip
+    clip = SimpleNamespace(report={"complete": False, "stopped": "stopped"})
+    return make_report(target, runs, estimated, clip, seconds=1.0)
+
+
+def test_values_beyond_their_range_are_reported_with_a_note(tmp_path):
+    report = report_of(tmp_path, 0.8, 0.95, sampling=0.01)
+    limit = report["found"]["material.E"]["limit"]
+    assert limit["value"] == pytest.approx(1e4 * 10**1.25, rel=1e-4)
+    assert limit["interval"][1] == pytest.approx(1e4 * 10**1.56, rel=1e-4)
+    assert report["notes"][0].startswith("A value of material.E was extrapolated from the grids")
+    wide = report_of(tmp_path, 0.95, 0.95, sampling=0.1)
+    assert wide["notes"][0].startswith("The interval of material.E is extrapolated beyond")
+    assert len(report_of(tmp_path, 0.5, 0.5, sampling=0.1)["notes"]) == 1
+
+
+def test_a_fit_on_a_single_grid_names_no_other_grid(tmp_path):
+    head, row, *_ = format_table(report_of(tmp_path, 0.5, sampling=0.1)).splitlines()
+    assert " ".join(head.split()) == "value on 16 cells 95 %"
+    assert row.split()[:2] == ["material.E", "3.162e+04"]
+    head, *_ = format_table(report_of(tmp_path, 0.5, 0.5, sampling=0.1)).splitlines()
+    assert "on 32 cells" in head and "without grid error" in head
 
 
 @pytest.mark.parametrize("changed", ["colours", "times"])

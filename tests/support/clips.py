@@ -9,7 +9,7 @@ from support.shapes import ball
 AWAY = [(0, 0.2 * i, 0) for i in range(8)]
 """Direction to the right of the front camera."""
 FIT = {
-    "target": "a<b.mp4", "cells": 24, "notes": [],
+    "target": "a<b.mp4", "cells": 24, "grids": [{"cells": 16}, {"cells": 24}], "notes": [],
     "found": {"material.E": {"value": 5e4, "interval": [4e4, 6e4],
                              "limit": {"value": 5e4, "interval": [4e4, 6e4]}}},
     "measured": {"silhouettes": {"unit": "of a pixel", "misfit": 0.01}},

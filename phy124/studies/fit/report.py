@@ -1,7 +1,10 @@
 """Makes the report of a fit: values, intervals, and misfits for each kind of measurement."""
 
 import math
+from collections.abc import Iterator
 from typing import Any
+
+import numpy as np
 
 from phy124.io.clip import Clip
 from phy124.studies.fit.estimate import Estimate
@@ -31,10 +34,11 @@ def make_report(
     complete = bool(clip.report["complete"])
     played = Distance(runs).misfits(target.observations.predict(clip)) if complete else None
     stopped = [] if complete else [f"The fitted scene stops early: {clip.report['stopped']}"]
+    fitted = _values(runs, estimate, cells)
     return {
         "target": target.declared.target,
         "cells": cells,
-        "found": _values(runs, estimate, cells),
+        "found": fitted,
         "correlation": estimate.correlation.round(4).tolist(),
         "measured": {
             kind.name: {
@@ -55,7 +59,7 @@ def make_report(
         "runs_kept": runs.kept,
         "cpu_seconds": round(runs.seconds, 2),
         "seconds": round(seconds, 2),
-        "notes": [*estimate.notes, *stopped],
+        "notes": [*estimate.notes, *_notes(runs, fitted), *stopped],
         "declared": target.declared.model_dump(mode="json", exclude_none=True),
     }
 
@@ -92,9 +96,13 @@ def value_at(data: Any, path: str) -> Any:
 
 def format_table(report: dict[str, Any]) -> str:
     """Format the report as a text table."""
-    rows = [("value", f"on {report['cells']} cells", "95 %", "without grid error", "95 %")]
-    for path, value in report["found"].items():
-        rows.append((path, *_format(value), *_format(value["limit"])))
+    if len(report["grids"]) > 1:
+        rows = [("value", f"on {report['cells']} cells", "95 %", "without grid error", "95 %")]
+        for path, value in report["found"].items():
+            rows.append((path, *_format(value), *_format(value["limit"])))
+    else:  # no value can be extrapolated to another grid
+        rows = [("value", f"on {report['grids'][0]['cells']} cells", "95 %")]
+        rows += [(path, *_format(value)) for path, value in report["found"].items()]
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     padded = [[c.ljust(width) for c, width in zip(row, widths, strict=True)] for row in rows]
     lines = ["  ".join(row).rstrip() for row in padded]
@@ -113,6 +121,23 @@ def _values(runs: Runs, estimate: Estimate, cells: int) -> dict[str, Any]:
         name: {**here[name], "from_measurements": sampled[name]["interval"], "limit": limit[name]}
         for name in runs.names
     }
+
+
+def _notes(runs: Runs, fitted: dict[str, Any]) -> Iterator[str]:
+    """Yield a note for each value that, or whose interval, is not within the searched range."""
+    count = len(runs.names)
+    least, most = runs.values(np.zeros(count)), runs.values(np.ones(count))
+    for name, value in fitted.items():
+        both, range_ = (value, value["limit"]), f"range, {least[name]:g} to {most[name]:g}"
+        if any(not least[name] <= each["value"] <= most[name] for each in both):
+            yield (
+                f"A value of {name} was extrapolated from the grids beyond its {range_}. The "
+                "fitted scene does not leave this range, so widen it."
+            )
+        elif any(
+            each["interval"][0] < least[name] or each["interval"][1] > most[name] for each in both
+        ):
+            yield f"The interval of {name} is extrapolated beyond the searched {range_}."
 
 
 def _around(runs: Runs, place: Values, errors: Values) -> dict[str, Any]:

@@ -31,7 +31,7 @@ class Fitted:
     """The result of a fit, and the files that were written."""
 
     scene: Scene
-    """The scene with the fitted values, extrapolated to the scene's grid."""
+    """The scene with the fitted values, extrapolated to the scene's grid but within the ranges."""
     report: dict[str, Any]
     files: tuple[Path, ...]
 
@@ -94,7 +94,7 @@ def _outlook(runs: Runs, target: Target, workers: int) -> Outlook:
 
 
 def _write(target: Target, runs: Runs, budget: Budget, estimated: Estimate, out: Path) -> Fitted:
-    values = runs.values(estimated.on(target.scene.resolution.cells)[0])
+    values = runs.values(np.clip(estimated.on(target.scene.resolution.cells)[0], 0, 1))
     scene = target.scene.replaced(values)
     clip = runs.player.clip(target.played.replaced(values).data())
     report = make_report(target, runs, estimated, clip, seconds=budget.spent)

@@ -96,7 +96,10 @@ class Runs:
         self._known = _digest(self.player)
 
     def values(self, place: Values) -> dict[str, float]:
-        """Return the values at `place`, which contains fractions of their ranges."""
+        """Return the values at `place`, which contains fractions of their ranges.
+
+        Outside of 0..1, the values are extrapolated beyond their ranges.
+        """
         pairs = zip(self.names, self._ranges, place, strict=True)
         return {name: float(f"{axis.draw(float(part)):.{DIGITS}g}") for name, axis, part in pairs}
 

@@ -193,13 +193,11 @@ def interpolate(first: float, last: float, part: float, *, log: bool = False) ->
     Args:
         first: Result at part = 0.
         last: Result at part = 1.
-        part: Position between the two numbers, 0 to 1.
+        part: Position between the two numbers, 0 to 1; beyond, the result is extrapolated.
         log: Whether to interpolate the logarithms of two positive numbers.
     """
-    if part <= 0:
-        return first
-    if part >= 1:
-        return last
+    if part in (0, 1):
+        return last if part else first
     if log:
         return first * (last / first) ** part
     return first + part * (last - first)
