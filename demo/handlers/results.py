@@ -160,11 +160,10 @@ def _restore_run(studio: Studio, name: str, run: Job | None) -> tuple[Any, ...]:
 def results(studio: Studio, name: str, job: Job) -> list[Any]:
     """Return the values of the viewer, the report panel, the download panel and the history."""
     done: Done = job.progress.result
+    extras = (job.choice and job.choice.extras) or {}
+    invented = done.report.get("generator") == "relief" and not extras.get("back")
     return [
-        {
-            "pack": file_of(done.films / "clip.pack"),
-            "invented": done.report.get("generator") == "relief",
-        },
+        {"pack": file_of(done.films / "clip.pack"), "invented": invented},
         report_of(studio, job),
         takeaway_of(done),
         {"runs": _earlier(studio, name, done)},

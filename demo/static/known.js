@@ -8,25 +8,31 @@
   const PICTURES = { side: 'facing', back: null, depth: 'near' }; // options, each with the choice that belongs to it
   const ACCEPT = 'image/png,image/jpeg,image/webp,image/avif,.avif';
   const HEIC = ',image/heic,image/heif,.heic,.heif';
+  const STORED = 'phy124-known';
   const words = (name) => name.replace(/^./, (c) => c.toUpperCase());
 
   async function known(element, props, watch, trigger) {
+    let panel = null, shown = {};
+    document.addEventListener('phy124-cut', ({ detail }) => { shown = detail; panel?.recall(detail); });
     const offer = await (await fetch('phy124/catalogue.json')).json();
-    const panel = new Known(element, offer, trigger, (value) => { props.value = value; trigger('change'); });
+    panel = new Known(element, offer, trigger, (value) => { props.value = value; trigger('change'); });
+    panel.recall(shown);
     watch('value', () => panel.take(props.value));
     if (props.value?.ways) panel.take(props.value); // the server's answer to a reload came first
     listen(panel);
   }
 
-  /** Handle the server's events without a value: a failed request, and files that no longer exist. */
+  /** Return the inputs that were stored before a reload, and the photograph to which they belong. */
+  function stored() { try { return JSON.parse(sessionStorage.getItem(STORED)); } catch { return null; } }
+
+  /** Handle a failed request, for which the server sends no value. */
   function listen(panel) {
     document.addEventListener('phy124-failed', () => panel.each((view) => view.fail()));
-    document.addEventListener('phy124-forgotten', () => panel.each((view) => view.restore()));
   }
 
   class Known {
     constructor(element, offer, trigger, send) {
-      Object.assign(this, { element, options: offer.known, limits: offer.limits, trigger, send, told: {}, views: {} });
+      Object.assign(this, { element, options: offer.known, limits: offer.limits, trigger, send, told: {}, views: {}, kept: stored() });
       for (const option of Object.keys(PICTURES)) this.views[option] = new View(option, this);
       this.highlights = h('input', { type: 'checkbox', onchange: (event) => this.tell({ highlights: event.target.checked ? 'remove' : null }) });
       this.shape = this.choice('shape');
@@ -80,6 +86,21 @@
       if (this.told.side) this.forget();
       this.say();
       this.send({ ...this.told });
+      try { sessionStorage.setItem(STORED, JSON.stringify({ of: this.photo, told: this.told })); } catch { /* storage is not available */ }
+    }
+
+    /** Set the inputs again if the photograph is the same after a reload, or was sent again to a server that no longer had it. */
+    recall({ url, photo, restored }) {
+      if (!url) return;
+      const { kept } = this;
+      Object.assign(this, { photo, kept: null });
+      if (!kept || !(restored || kept.of === photo)) return;
+      const { told, files } = kept;
+      [this.slider.value, this.shape.value, this.elevation.value] = [told.thickness ?? 1, told.shape ?? 'auto', told.photo_elevation ?? ''];
+      [this.highlights.checked, this.compose.checked] = [Boolean(told.highlights), Boolean(told.compose)];
+      if (this.generator) this.generator.value = told.generator ?? 'relief';
+      this.tell(told);
+      this.each((view) => view.recall(told, files?.[view.option]));
     }
 
     /** Set the options of the guessed shape to their defaults. */
@@ -107,6 +128,8 @@
     }
 
     clear() {
+      this.kept ||= { told: this.told, files: Object.fromEntries(Object.values(this.views).map(({ option, file }) => [option, file])) };
+      sessionStorage.removeItem(STORED);
       this.forget();
       this.told = {};
       this.element.replaceChildren();
@@ -161,19 +184,31 @@
       if (url) this.shown.src = url; else this.shown.removeAttribute('src');
     }
 
-    /** Remove the earlier picture, so that it is not used even if the new file is refused. */
+    /** Send a file; the earlier picture remains until the server has accepted the new one. */
     async choose(file) {
       if (!file) return;
-      this.clear();
-      this.tell(null);
-      this.file = file;
+      this.asked++;
+      Object.assign(this, { following: null, pending: false, file });
       this.say('Sending …');
       this.input.value = '';
       const { reduced, sent } = globalThis.Phy124;
       // A depth map is not reduced, because a browser would keep only 8 of its 16 bits.
       const answer = await sent(this.option === 'depth' ? file : await reduced(file, this.panel.limits), this.panel.limits);
       if (this.file !== file) return; // meanwhile, another file was chosen, or the file was removed
-      if (answer.path) this.look(answer.path); else this.say(answer.message, true);
+      if (answer.path) this.look(answer.path); else this.refuse(answer.message);
+    }
+
+    refuse(message) {
+      const { hidden } = this.shown;
+      if (hidden) this.tell(null);
+      this.say(hidden ? message : `${message} The earlier picture is still used.`, true);
+    }
+
+    /** Use the picture and the choice of earlier inputs again; the picture is sent if this page still has it. */
+    recall(told, file) {
+      if (this.chosen) this.chosen.value = told[PICTURES[this.option]] ?? this.chosen.value;
+      if (!told[this.option]) return;
+      if (file) this.choose(file); else this.look(told[this.option]);
     }
 
     /** Ask the server to cut out a picture that was sent. */
@@ -194,20 +229,10 @@
       this.say('The server could not process the picture. Try again.', true);
     }
 
-    /** Send the picture again if this page still has it, because the server no longer has the picture. */
-    restore() {
-      const { file } = this, had = !this.shown.hidden || this.following;
-      if (file) return this.choose(file);
-      if (!had) return;
-      this.clear();
-      this.tell(null);
-      this.say('The server no longer has this picture. Choose it again.', true);
-    }
-
     take({ ask, job, message, picture, cutout, warning, doubts }) {
       if (ask !== this.asked) return;
       this.pending = false;
-      if (message) return this.say(message, true);
+      if (message) return this.refuse(message);
       if (job) return this.await(job);
       this.show((cutout || picture).url);
       this.say(warning || (cutout ? 'The object is cut out.' : ''), Boolean(warning), doubts);

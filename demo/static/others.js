@@ -12,6 +12,7 @@
     panel.draw(globalThis.Phy124.objects || []);
     watch('value', () => panel.take(props.value));
     listen(panel);
+    document.addEventListener('phy124-forgotten', () => panel.each((slot) => slot.restore()));
   }
 
   class Others {
@@ -59,9 +60,14 @@
       if (picture) this.look(picture);
     }
 
-    take(answer) {
-      if (answer.message && answer.ask === this.asked) { this.show(null); this.tell(null); }
-      super.take(answer);
+    /** Send the picture again if this page still has it, because the server no longer has the picture. */
+    restore() {
+      const { file } = this, had = !this.shown.hidden || this.following;
+      if (!file && !had) return;
+      this.clear();
+      this.tell(null);
+      if (file) return this.choose(file);
+      this.say('The server no longer has this picture. Choose it again.', true);
     }
   }
 

@@ -188,7 +188,8 @@
       if (value.job) return this.await(value);
       const seen = cut || (value.file && photo);
       if (seen) document.dispatchEvent(new Event('phy124-asked'));
-      document.dispatchEvent(new CustomEvent('phy124-cut', { detail: { url: seen, fresh: Boolean(this.fresh && !this.restoring) } }));
+      const restored = Boolean(this.restoring);
+      document.dispatchEvent(new CustomEvent('phy124-cut', { detail: { url: seen, photo, restored, fresh: Boolean(this.fresh) && !restored } }));
       const again = this.restoring && cut && this.corrected;
       this.restoring = false;
       if (again) return this.correct(this.corrected);

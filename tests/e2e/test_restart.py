@@ -3,7 +3,7 @@
 from contextlib import contextmanager
 
 import pytest
-from visit import Visit
+from visit import DUCK, Visit
 
 from support.served import free_port, serving
 
@@ -32,6 +32,9 @@ def test_page_outlives_restarts_of_its_server(browser, start):
     with start() as server:
         visit = Visit(browser, server)
         visit.upload()
+        visit.adjust()
+        visit.page.get_by_label("Back", exact=True).set_input_files(DUCK.with_name("teddy.png"))
+        visit.page.get_by_text("Back: The object is cut out.").wait_for()
         visit.choose(frames=2)
         visit.generate()
         visit.finished()
@@ -45,6 +48,7 @@ def test_page_outlives_restarts_of_its_server(browser, start):
     with start():
         notice.get_by_text("no longer has your files").wait_for()
         page.wait_for_function(CUT_AGAIN, arg=before)
+        page.get_by_text("Back: The object is cut out.").wait_for()
         assert page.evaluate("globalThis.sameDocument"), "the page was loaded again"
         assert page.locator("#viewer .phy-time").is_visible()
         gone = page.locator("#takeaway").get_by_text("no longer has this result")
@@ -58,6 +62,7 @@ def test_page_outlives_restarts_of_its_server(browser, start):
         gone.wait_for(state="detached")
         page.reload()
         page.wait_for_selector("#cutout img[src]")
+        page.get_by_text("Back: The object is cut out.").wait_for(state="attached")
         assert not notice.is_visible()
         before = page.locator("#cutout img").get_attribute("src")
     page.route(HERE, lambda route: route.abort())  # The page asks every 15 s whether it is known.
@@ -66,6 +71,7 @@ def test_page_outlives_restarts_of_its_server(browser, start):
         visit.generate()
         page.wait_for_function(CUT_AGAIN, arg=before)
         page.wait_for_selector("#progress .refused", state="detached")
+        page.get_by_text("Back: The server does not have this picture.").wait_for(state="attached")
         assert notice.is_visible()
     page.goto("about:blank")  # An open page would ask the new server before it is loaded again.
     with start() as server:
