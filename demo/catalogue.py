@@ -36,6 +36,8 @@ READY = {
     "bury": ("Chick, sand", "chick"),
 }
 """Title and example picture of each preset whose finished result `make_previews` creates."""
+UNITS = {"size": "pixels", "cells": "cells across the object"}
+"""Units of the limited numbers whose name is not the unit."""
 PUSHES = {"gravity": "g", "acceleration": "a"}
 """Forces that the page's direction pad changes, each with the field that the pad sets."""
 LONGEST, LONGER = 20_000, 200
@@ -228,7 +230,7 @@ def check_most(limits: dict[str, tuple[int, int]]) -> None:
     """
     for name, (value, most) in limits.items():
         if value > most:
-            limit = f"This page allows at most {most:,} {name}."
+            limit = f"This page allows at most {most:,} {UNITS.get(name, name)}."
             raise InputError(name, value, limit, "Choose a smaller number.")
 
 

@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict
 from phy124.errors import InputError
 from phy124.generators.extras import DepthMap, OtherViews
 from phy124.pipeline import check_sources
-from phy124.scene import PRESETS, Scene, ViewName, preset_names
+from phy124.scene import PRESETS, Scene, View, ViewName, preset_names
 from phy124.schema.refusals import shorten
 from phy124.schema.section import Section
 
@@ -80,9 +80,9 @@ class MeasureRequest(BaseModel):
         return self.model_dump(include=set(EXTRAS))
 
     @property
-    def others(self) -> list[Any]:
-        """Pictures of the further objects."""
-        return [path for path in (self.second, self.third, self.fourth) if path]
+    def others(self) -> dict[str, Any]:
+        """Pictures of the further objects, by argument."""
+        return {name: path for name in OTHERS if (path := getattr(self, name))}
 
 
 class GenerateRequest(MeasureRequest):
@@ -253,20 +253,47 @@ def _cut_out(studio: Studio, name: str, asked: MeasureRequest) -> tuple[Scene, J
             remedy = 'Give {"material.E": 20000}, for example.'
             raise InputError("changes", type(changes).__name__, limit, remedy)
         check_length("changes", changes, studio.settings)
-        from_preset = asked.frames is None or "time.seconds" in changes
-        length = {} if from_preset else {"time.frames": asked.frames}
-        scene = Scene.named(asked.preset)
-        scene = scene.replaced({"accuracy": asked.accuracy, **length, **changes})
+        most = studio.settings.max_frames
+        if isinstance(asked.frames, int | float) and asked.frames < 1:
+            limit = f"The number of frames must be from 1 to {most} on this page."
+            raise InputError("frames", asked.frames, limit, "Choose a number in this range.")
+        length = {} if asked.frames is None else {"time.frames": asked.frames}
+        scene = Scene.named(asked.preset).replaced({"accuracy": asked.accuracy, **length})
+        scene = scene.replaced(changes)
+        _check_changes(asked, scene)
         studio.check_extras(name, asked.extras)
         scene = _with_pictures(studio, name, scene, asked.others)
         return scene, studio.take(name, asked.image, read_place(asked.pick))
 
 
-def _with_pictures(studio: Studio, name: str, scene: Scene, sent: list[str]) -> Scene:
-    check_sources(scene, sent)
+def _check_changes(asked: MeasureRequest, scene: Scene) -> None:
+    """Refuse changes that contradict an argument, or that have no effect on this server."""
+    frames = scene.time.frames if asked.frames is None else asked.frames
+    accuracy = scene.accuracy if isinstance(scene.accuracy, str) else asked.accuracy
+    for field, value, changed in (
+        ("frames", frames, scene.time.frames),
+        ("accuracy", asked.accuracy, accuracy),
+    ):
+        if value != changed:
+            limit = f"The argument `changes` sets another value, {changed}."
+            raise InputError(field, value, limit, "Give one of the two.")
+    for field in ("formats", "outputs", "output_format"):
+        value = getattr(scene.view, field)
+        if value != View.model_fields[field].default:
+            limit = "This server writes MP4 videos only."
+            remedy = "Remove it. `phy124 render` makes other files of clip.safetensors."
+            raise InputError(f"view.{field}", value, limit, remedy)
+
+
+def _with_pictures(studio: Studio, name: str, scene: Scene, sent: dict[str, Any]) -> Scene:
     waiting = [index for index, object in enumerate(scene.objects) if object.waits]
+    try:
+        check_sources(scene, list(sent.values()))
+    except InputError as error:
+        field = list(sent)[len(waiting)]
+        raise InputError(field, error.value, error.limit, error.remedy) from None
     changes = {}
-    for index, upload in zip(waiting, sent, strict=False):
+    for index, upload in zip(waiting, sent.values(), strict=False):
         path = studio.visitors.find_upload(name, upload)
         field = f"objects.{index}.picture"
         check_picture(path, studio.settings, field)

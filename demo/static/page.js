@@ -253,7 +253,7 @@
       this.shown = item;
       for (const tile of this.ready.querySelectorAll('.tile')) tile.classList.toggle('on', tile.dataset.ready === item.name);
       const film = moving(`phy124/${item.film}`, { class: 'hero', alt: item.title }), host = h('div', { class: 'viewer-host' }, film);
-      this.fill(h('p', { class: 'from' }, h('img', { src: `phy124/examples/${item.example}.png`, alt: '' }), h('span', {}, 'made from this picture', h('br'), `in ${Math.round(item.seconds)} s`)), host);
+      this.fill(h('p', { class: 'from' }, h('img', { src: `phy124/examples/${item.example}.png`, alt: '' }), h('span', {}, 'made from this picture', h('br'), `${Math.round(item.seconds)} s of computing, without videos`)), host);
       if (!chosen) return;
       document.dispatchEvent(new CustomEvent('phy124-ready', { detail: item }));
       const bytes = item.pack && await read(`phy124/${item.pack}`);
