@@ -271,6 +271,17 @@ def test_points_move_with_the_gaussians_near_them():
     assert np.allclose(points.predict(clip), points.measured, atol=1e-6)
 
 
+def test_a_track_is_a_group_and_few_tracks_are_divided_by_time():
+    few, times = np.eye(3), np.repeat(np.arange(12.0)[::-1], 3)
+    table = tracked(np.tile(few, (12, 1)), times, ["a", "b", "c"] * 12)
+    groups = Points(table, few).groups.reshape(12, 3, 3)
+    assert np.array_equal(np.unique(groups), range(9)), "three tracks of three parts"
+    assert np.all(groups == groups[:, :, :1]) and np.all(groups[:4] == groups[0])
+    many = np.random.default_rng(0).random((8, 3))
+    both = tracked(np.tile(many, (2, 1)), np.repeat([0.0, 1.0], 8), [*"abcdefgh"] * 2)
+    assert np.array_equal(Points(both, many).groups, np.tile(np.repeat(np.arange(8), 3), 2))
+
+
 def test_pixels_move_with_the_gaussians_in_front():
     clip, rest = falling()
     camera = Camera.orbit(0, 10, 4, 128, target=(0.5, 0.5, 0.5))

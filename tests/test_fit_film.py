@@ -9,7 +9,7 @@ from phy124.camera import Camera
 from phy124.errors import InputError
 from phy124.studies.fit.declaration import Fit
 from phy124.studies.fit.page import ONLY_FITTED, ONLY_SEEN, Comparison, figure, write_page
-from phy124.studies.fit.silhouettes import Silhouettes, _fit_similarity, align_film
+from phy124.studies.fit.silhouettes import Silhouettes, _blocks, _fit_similarity, align_film
 from phy124.studies.fit.target import Target
 from phy124.studies.fit.video import read_film
 from support.clips import FIT, falling
@@ -48,6 +48,12 @@ def test_pictures_are_kept_small(tmp_path):
     film = read_film(tmp_path / "film")
     assert film.pictures.shape == (2, 171, 256, 3)
     assert film.masks.mean() == pytest.approx(1 / 6, rel=0.06)
+
+
+def test_errors_of_a_block_are_correlated_in_all_frames():
+    groups = _blocks((3, 16, 24)).reshape(3, 16, 24)
+    assert np.array_equal(groups[0], groups[2]) and np.array_equal(np.unique(groups), range(6))
+    assert groups[0, 7, 7] == 0 and groups[0, 8, 23] == 5
 
 
 def test_the_comparison_shows_target_fitted_and_difference(tmp_path):

@@ -23,8 +23,13 @@ BLUR = 1.0
 
 With blur, the difference has a gradient even if the silhouettes' edges do not overlap.
 """
-BLOCK = 16
-"""Side of a block of pixels [pixels]; errors in a block are assumed to be correlated."""
+BLOCK = 8
+"""Side of a block of pixels [pixels]; errors in a block are assumed to be correlated in all frames.
+
+For a video of a pressed cow, blocks of 8 and 12 pixels give equal intervals (within 7 %). Smaller
+blocks give narrower intervals, because errors of adjacent pixels are correlated. With blocks of 16
+pixels, the interval depends on only three blocks.
+"""
 
 
 class Silhouettes:
@@ -82,10 +87,10 @@ def _blur(covered: Values) -> Values:
 
 
 def _blocks(shape: tuple[int, ...]) -> Groups:
-    """Return the index of each pixel's block [T*h*w]."""
-    t, h, w = np.indices(shape)
-    across, down = -(-shape[2] // BLOCK), -(-shape[1] // BLOCK)
-    return ((t * down + h // BLOCK) * across + w // BLOCK).ravel()
+    """Return the index of each pixel's block [T*h*w], which is the same in all frames."""
+    _, h, w = np.indices(shape)
+    across = -(-shape[2] // BLOCK)
+    return (h // BLOCK * across + w // BLOCK).ravel()
 
 
 ALIGN_BLUR = 2.0
