@@ -236,6 +236,12 @@ def test_longer_scene_is_promised_its_measured_beginning():
     assert check_promise(brief, 0.5).endswith("DOES NOT HOLD")
 
 
+def test_promise_of_a_falling_object_names_its_end():
+    said = {name: promise(Scene.named(name), USUAL).sentence for name in ("bounce", "press")}
+    assert "holds until the motion begins to differ from grid to grid" in said["bounce"]
+    assert "grid to grid" not in said["press"]
+
+
 @pytest.mark.parametrize(
     ("fraction", "text"),
     [(0.0, "0.010 %"), (0.0084, "0.84 %"), (0.01, "1.0 %"), (0.123, "12 %"), (1.2, "120 %")],

@@ -27,7 +27,7 @@ def test_effects_follow_the_scene():
 
 
 def test_saving_of_an_omission_grows_with_the_work():
-    effects = Effects.of(Scene.named("press"))
+    effects = Effects.of(Scene.named("press").replaced({"accuracy.solver": "mpm"}))
     work = {"particles": 10**6, "substeps": 1000, "nodes": 10**5}
     saved = saved_by(effects, **work)
     assert saved["return mapping"] == 70
@@ -36,6 +36,21 @@ def test_saving_of_an_omission_grows_with_the_work():
     assert saved_by(effects, **work, threads=2)["return mapping"] == 35
     assert "dense grid" in saved and saved_by(effects, **{**work, "nodes": 2 * 10**6}) != saved
     assert "saved_seconds" not in str(effects.data())
+
+
+@pytest.mark.parametrize("name", ["press", "water"])
+def test_without_mpm_no_effect_of_its_grid_is_reported(name):
+    effects = Effects.of(Scene.named(name))
+    rows, why = (*effects.ran, *whys(effects)), whys(effects)
+    assert not {"SIMD rows", "dense grid", "RPIC damping"} & set(rows)
+    assert why["transfers between particles and a grid"] == "MPM moves no object"
+
+
+def test_on_lattices_no_cost_of_mpm_is_reported():
+    effects = Effects.of(Scene.named("press"))
+    assert not any(saved_by(effects, particles=10**6, substeps=1000, nodes=10**5).values())
+    assert not any("trial substeps" in row for row in effects.ran)
+    assert whys(effects)["double precision"].endswith("float64 would also choose the solver mpm")
 
 
 def saved_by(effects: Effects, **work: int) -> dict:
@@ -146,7 +161,8 @@ def test_checks_are_effects_with_a_cost():
 
 @pytest.mark.parametrize("gradient", ["affine", pytest.param("spline", marks=pytest.mark.slow)])
 def test_effects_name_the_kernels_that_run(gradient):
-    scene = Scene.named("press").replaced({"accuracy": {"cells": 8, "gradient": gradient}})
+    accuracy = {"cells": 8, "gradient": gradient, "solver": "mpm"}
+    scene = Scene.named("press").replaced({"accuracy": accuracy})
     effects, form = Effects.of(scene), Simulation(prepare(ball(100), scene)).solver.model.form
     assert ("SIMD rows" in effects.ran) == (form == "simd") == (gradient == "affine")
     assert ("gradients of the weights" in effects.ran) == (form == "spline")

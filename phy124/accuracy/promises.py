@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from phy124.accuracy.expectation import MARGIN, expect
-from phy124.accuracy.severity import duration, length, unit
+from phy124.accuracy.severity import duration, length, motion_of, unit
 from phy124.particles.thickness import Proportions
 from phy124.scene import Scene
 
@@ -137,6 +137,11 @@ def promise(
         why = f"not measured for {what}; `{STUDY}` measures it."
         return Promise(None, why, unmeasured=what, unestimated=unestimated)
     why, seconds = f"Fitted to {expected.objects} measured objects: {expected.such}.", None
+    if motion_of(scene) == "landing":  # errors were measured only until the grids' motions diverge
+        why += (
+            " The bound holds until the motion begins to differ from grid to grid, which may happen "
+            "after an impact."
+        )
     if length(scene) > MARGIN * expected.length:
         why += f" The rest of the clip, up to {duration(scene):.2f} s, was not measured."
         seconds = expected.length * unit(scene)

@@ -12,7 +12,7 @@ from typing import Any
 
 from phy124.materials import AnyMaterial
 from phy124.monitor import observers_for
-from phy124.monitor.observer import Cost, Effect, Observer, Subject, find
+from phy124.monitor.observer import UNKNOWN, Cost, Effect, Observer, Subject, find
 from phy124.mpm.model import form_of
 from phy124.scene import Scene
 from phy124.scene.lattices import choose_solver, reason_for_mpm
@@ -97,8 +97,9 @@ def _catalogue(
     subject: Subject, sh_degree: int, device: str, observers: Sequence[Observer], no_lattice: str
 ) -> Iterator[Effect]:
     scene = subject.scene
-    yield from _of_materials(scene, subject.materials)
-    yield from _of_forces(scene)
+    for effect in (*_of_materials(scene, subject.materials), *_of_forces(scene)):
+        # The costs were measured with MPM.
+        yield effect if _has_mpm(scene) else effect._replace(cost=UNKNOWN)
     if not scene.on_lattice:
         yield Effect("rest lattice", False, no_lattice)
     yield from _of_observers(subject, observers)
@@ -115,6 +116,15 @@ def _catalogue(
     yield from _of_frames(scene, sh_degree)
     yield from _of_pictures(scene)
     yield from _of_numerics(scene, device)
+
+
+def _has_mpm(scene: Scene) -> bool:
+    """Return whether MPM moves an object: not a lattice, and not a liquid by projection."""
+    rows = zip(scene.object_materials, scene.on_lattices, strict=True)
+    return any(
+        not lattice and any(not scene.projects or each.law != "fluid" for each in sections)
+        for sections, lattice in rows
+    )
 
 
 def _of_liquid(scene: Scene) -> Iterator[Effect]:
@@ -179,7 +189,9 @@ def _of_observers(subject: Subject, observers: Sequence[Observer]) -> Iterator[E
     """Yield the checks in each substep, and the effect of each observer."""
     every = subject.scene.checks.measure
     yield Effect(f"limits of the substep measured every {every} substeps or sooner")
-    yield Effect("trial substeps, which are repeated with a shorter substep if they are too long")
+    if _has_mpm(subject.scene) or subject.scene.projects:
+        long = "trial substeps, which are repeated with a shorter substep if they are too long"
+        yield Effect(long)
     for kind in dict.fromkeys((*observers_for(subject.scene), *map(type, observers))):
         observer = find(observers, kind)
         effect = kind.effect(subject) if observer is None else observer.finished_effect(subject)
@@ -212,8 +224,13 @@ def _of_numerics(scene: Scene, device: str) -> Iterator[Effect]:
     why = "binding is lattice: each Gaussian follows the particles inside and around it"
     yield Effect("one particle for each Gaussian", bound, why)
     double = scene.precision == "float64"
-    enough = "single precision is enough: the grid error is larger"
-    yield Effect("double precision", double, enough, Cost(particle=48))
+    enough, mpm = "single precision is enough: the grid error is larger", _has_mpm(scene)
+    if scene.on_lattice and scene.resolution.solver == "auto":
+        enough += "; float64 would also choose the solver mpm"
+    yield Effect("double precision", double, enough, Cost(particle=48) if mpm else UNKNOWN)
+    if not mpm:
+        yield Effect("transfers between particles and a grid", False, "MPM moves no object")
+        return
     transfer = scene.resolution.transfer
     why = "accuracy.transfer is apic: particles take their velocities from the grid"
     yield Effect(f"transfer {transfer}".replace(" apic", " beyond apic"), transfer != "apic", why)
