@@ -18,6 +18,7 @@ from phy124.progress import silent
 from phy124.runtime.context import RunContext
 from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
+from phy124.studies.fit import budget
 from phy124.studies.fit.budget import Budget, Outlook
 from phy124.studies.fit.declaration import Fit, parse_ranges
 from phy124.studies.fit.estimate import Estimate, estimate
@@ -478,6 +479,21 @@ def test_a_fit_on_a_single_grid_names_no_other_grid(tmp_path):
     assert row.split()[:2] == ["material.E", "3.162e+04"]
     head, *_ = format_table(report_of(tmp_path, 0.5, 0.5, sampling=0.1)).splitlines()
     assert "on 32 cells" in head and "without grid error" in head
+
+
+def test_the_first_preparation_is_forecast_once_per_process(monkeypatch):
+    def again(gaussians, scene, context, **_):
+        context.watch.add({"particles": 0.5}, 0.5)
+
+    stages = {"particles": 8.5, "simulate": 1.0, "deform": 0.5}
+    monkeypatch.setattr(budget, "prepare", again)
+    monkeypatch.setattr(
+        budget.Forecaster, "forecast", lambda *_, **__: SimpleNamespace(stages=stages)
+    )
+    alone, two = (budget.make_outlook(ball(60), [Scene()] * 2, 1, n) for n in (1, 2))
+    assert alone.each == two.each == (2.0, 2.0)
+    assert alone.wall(6) == 2 * sum(alone.runs(6))
+    assert two.wall(6) == alone.wall(6) / 2 + budget.STARTING + 16.0
 
 
 @pytest.mark.parametrize("changed", ["colours", "times"])

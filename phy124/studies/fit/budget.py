@@ -13,6 +13,7 @@ from phy124.gaussians import Gaussians
 from phy124.imaging.painted import WHOLE, Crop
 from phy124.runtime.context import RunContext
 from phy124.scene import Scene
+from phy124.simulation import prepare
 from phy124.studies.fit.search import HALVES, generation_size, log2_screened
 
 FEWEST = 6
@@ -58,6 +59,8 @@ class Outlook:
     values: int
     """Number of values to fit."""
     workers: int
+    once: float = 0.0
+    """Additional time of the first run on each grid in a process [s], summed over the grids."""
 
     def runs(self, generations: int = USUAL) -> list[int]:
         """Return the number of simulations on each grid."""
@@ -70,7 +73,8 @@ class Outlook:
     def wall(self, generations: int) -> float:
         """Return the time of the fit [s] if all workers are always busy."""
         work = np.dot(self.runs(generations), self.each)
-        return float(work) / self.workers + (STARTING if self.workers > 1 else 0.0)
+        # Without workers, this process has already prepared the object for the forecast.
+        return float(work) / self.workers + (STARTING + self.once if self.workers > 1 else 0.0)
 
     def refuse(self, seconds: float) -> None:
         """Refuse a time budget [s] that is too short.
@@ -110,9 +114,13 @@ def make_outlook(
         workers: Number of worker processes.
         crop: Rectangle of the picture that contains the object.
     """
-    forecaster, each = Forecaster(RunContext(threads=1)), []
+    forecaster, each, once = Forecaster(RunContext(threads=1)), [], 0.0
     for scene in scenes:
         stages = forecaster.forecast(gaussians, scene, crop=crop).stages
-        each.append(stages["particles"] + stages["simulate"] + stages["deform"])
+        again = RunContext(threads=1)  # results of the first preparation are cached
+        prepare(gaussians, scene, again, crop=crop)
+        particles = again.watch.seconds["particles"]
+        each.append(particles + stages["simulate"] + stages["deform"])
+        once += max(stages["particles"] - particles, 0.0)
     grids = tuple(scene.resolution.cells for scene in scenes)
-    return Outlook(grids, tuple(each), values, max(workers, 1))
+    return Outlook(grids, tuple(each), values, max(workers, 1), once)
