@@ -139,8 +139,8 @@ def promise(
     why, seconds = f"Fitted to {expected.objects} measured objects: {expected.such}.", None
     if motion_of(scene) == "landing":  # errors were measured only until the grids' motions diverge
         why += (
-            " The bound holds until the motion begins to differ from grid to grid, which may happen "
-            "after an impact."
+            " The bound holds until the motion begins to differ from grid to grid, which may "
+            "happen after an impact."
         )
     if length(scene) > MARGIN * expected.length:
         why += f" The rest of the clip, up to {duration(scene):.2f} s, was not measured."
