@@ -15,6 +15,7 @@ if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # two test processes share two cores
 
 from collections.abc import Iterator
+from contextlib import nullcontext
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -26,6 +27,7 @@ import warp as wp
 from phy124.gaussians import Gaussians
 from phy124.runtime.startup import start
 from support.gpu_module import GpuModule
+from support.solids import coarse
 
 ROOT = Path(__file__).parents[1]
 GOLDEN = Path(os.environ.get("PHY124_GOLDEN", ROOT / "../shared/golden"))
@@ -73,20 +75,11 @@ def bodies_of_many_tests_are_set_up_once() -> Iterator[None]:
         yield
 
 
-COARSE: dict[bytes, Any] = {}
-"""The solids of `coarse_solids`, as phy124.particles.solid keeps its own."""
-
-
 @pytest.fixture
 def coarse_solids(request) -> Iterator[None]:
     """Solids of an eighth of the voxels, for quick tests of all but the particles: finding the
     voxels of a solid takes longer than most of these tests."""
-    from phy124.particles import solid
-
-    with pytest.MonkeyPatch.context() as patch:
-        if request.node.get_closest_marker("slow") is None:
-            patch.setattr(solid, "ACROSS", solid.ACROSS // 2)
-            patch.setattr(solid, "_kept", COARSE)
+    with nullcontext() if request.node.get_closest_marker("slow") else coarse():
         yield
 
 

@@ -18,6 +18,8 @@ from phy124.simulation import Simulation, prepare
 from phy124.studies.validation.bodies import lattice, surface_of_ball
 from support.lattices import DX, block
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 DAMPED = NeoHookean(E=1e5, nu=0.3, density=1000, damping=300.0)
 
 

@@ -6,6 +6,8 @@ from phy124.rendering.dents import Dents
 from phy124.rendering.shine import LAMP, add_gloss, make_shine
 from support.shapes import ball
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 CELL = 0.1
 
 

@@ -32,6 +32,8 @@ from phy124.simulation import Simulation, prepare
 from phy124.studies.validation.bodies import block, make_solver
 from support.shapes import ball
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 DX = 0.125
 LEFT = Region(upper=(0.0, 1e9, 1e9))
 

@@ -23,6 +23,8 @@ from support.balls import elements, pressed_on_box
 from support.runs import resumed
 from support.shapes import ball, watch_run
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 DX, G = 0.05, 9.81
 BALL = FreeBody("ball", "sphere", (0.15,) * 3, (0.0, 0.0, 1.0))
 JELLY = NeoHookean(E=1e5)

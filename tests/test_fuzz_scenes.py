@@ -20,6 +20,8 @@ from phy124.runtime.context import RunContext
 from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 UNITS = st.floats(-1, 1)
 
 
@@ -243,13 +245,13 @@ def most_are_complete() -> None:
     assert OUTCOMES["complete"] > sum(OUTCOMES.values()) / 2, OUTCOMES
 
 
-@settings(max_examples=4, derandomize=True, **COMMON)
+@settings(max_examples=2, derandomize=True, **COMMON)
 @given(cloud=CLOUDS, scene=scenes(st.just("float32"), PLAIN))
 def run_defaults(cloud: Cloud, scene: Scene) -> None:
     check(cloud, scene)
 
 
-@settings(max_examples=4, derandomize=True, **COMMON)
+@settings(max_examples=2, derandomize=True, **COMMON)
 @given(cloud=CLOUDS, scene=scenes(st.just("float32"), LOOSE))
 def run_particles(cloud: Cloud, scene: Scene) -> None:
     check(cloud, scene)

@@ -19,6 +19,8 @@ from phy124.studies.validation.bodies import make_solver
 from support.scenes import OF_ONE
 from support.shapes import ball
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 SWING = Acceleration(a=(0, 3, 0), profile=Sine(frequency=3.0), start=0.05, end=0.4)
 PRESS = Press()
 FRAMES = np.arange(1, 13) / 24
@@ -223,7 +225,14 @@ def test_particles_that_leave_the_grid_do_not_end_the_graph():
     assert taken > 5 * runs[1].clock.substeps, "it was left to the host"
 
 
-@pytest.mark.parametrize("name", ["drop", "press", "wind"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param("drop", marks=pytest.mark.slow),
+        "press",
+        pytest.param("wind", marks=pytest.mark.slow),
+    ],
+)
 def test_a_forecast_counts_the_substeps_of_the_device(name, monkeypatch):
     scene = Scene.named(name).replaced({"accuracy": {"cells": 8}, "time.frames": 5})
     made = []

@@ -23,6 +23,8 @@ from phy124.simulation import Simulation, prepare
 from phy124.studies.validation.bodies import surface_of_ball
 from support.lattices import DX, SOFT, block, lattice_scene, make
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 
 def test_damped_body_stays_sound_in_an_impact():
     """The rate of compression that shortens a substep also limits the next one."""

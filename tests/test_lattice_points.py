@@ -51,8 +51,8 @@ def test_grids_of_which_one_is_twice_as_fine_share_their_voxels():
     assert np.array_equal(fresh.voxels.spread, rough.resample(0.05).voxels.spread)
 
 
-@pytest.mark.parametrize("thick", [0.3, 0.5, 1.0])
-@pytest.mark.parametrize("degrees", [0, 20, 45])
+@pytest.mark.parametrize("thick", [0.3, pytest.param(0.5, marks=pytest.mark.slow), 1.0])
+@pytest.mark.parametrize("degrees", [0, 20, pytest.param(45, marks=pytest.mark.slow)])
 def test_plates_keep_their_moments(thick, degrees):
     """Plates on voxels of half a cell, as the pipeline makes them."""
     half = np.array([0.6, 0.2, thick * DX / 2])
@@ -124,7 +124,13 @@ def test_surface_points_cover_a_ball_of_resampled_voxels(per):
 
 
 @pytest.mark.parametrize("thick", [0.02, 0.022, 0.04])
-@pytest.mark.parametrize("lift", [0, 0.012, 0.03, 0.044, 0.055])
+@pytest.mark.parametrize(
+    "lift",
+    [
+        pytest.param(lift, marks=[pytest.mark.slow] * (lift not in (0.012, 0.044)))
+        for lift in (0, 0.012, 0.03, 0.044, 0.055)
+    ],
+)
 def test_both_faces_of_a_plate_have_surface_points(thick, lift):
     middle = np.array([0, 0, lift + thick / 2])
     plate = box_of_discs(np.array([1, 0.7, thick]), np.eye(3), middle, 0.012)

@@ -23,6 +23,8 @@ from phy124.simulation import Simulation, prepare
 from support.liquids import DENSITY, FPS, TANK, G, block, field, heights, liquid, run
 from support.shapes import ball
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 
 @pytest.mark.parametrize("offset", [0.0, 0.37])
 def test_still_tank_keeps_level_and_pressure(offset):

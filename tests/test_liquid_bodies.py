@@ -16,6 +16,8 @@ from phy124.simulation import Simulation, prepare
 from support.liquids import CELLS, DENSITY, DX, LEVEL, TANK, G, block, liquid, pool
 from support.shapes import ball
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 
 def mixed(
     water,
@@ -123,7 +125,7 @@ def test_light_and_heavy_blocks_rise_and_sink():
 
 
 def test_held_block_is_lifted_by_the_water_it_displaces():
-    solver = run(with_block(DENSITY, 0.1875, cells=(6, 6, 6), held=[1]), 12)
+    solver = run(with_block(DENSITY, 0.1875, cells=(6, 6, 6), held=[1]), 6)
     np.testing.assert_array_equal(solver.state.x.numpy()[-1728:], solver.model.rest[-1728:])
     solver.pairs.begin()
     run(solver, 6)
@@ -133,7 +135,7 @@ def test_held_block_is_lifted_by_the_water_it_displaces():
     assert lift == pytest.approx(DENSITY * G * 36 * DX**2 * (level - 0.1875), rel=0.05)
 
 
-@pytest.mark.parametrize("below", [0.0, 0.4, 0.75])
+@pytest.mark.parametrize("below", [0.0, 0.4, pytest.param(0.75, marks=pytest.mark.slow)])
 def test_film_below_a_body_has_the_pressure_at_the_floor(below):
     """The floor does not have to be on a grid line."""
     solver = run(with_block(DENSITY, 0.0, held=[1], below=below), 6)
@@ -145,9 +147,9 @@ def test_film_below_a_body_has_the_pressure_at_the_floor(below):
 def test_force_on_particles_presses_the_floor_beside_bodies():
     zone = ZoneForce(place=Region(lower=(-1, -1, -1), upper=(2, 2, 2)), a=(0, 0, -G / 2))
     solver = with_block(DENSITY, 0.125, cells=(4, 4, 4), held=[1], gravity=G / 2, pushes=[zone])
-    run(solver, 12)
+    run(solver, 6)
     before = solver.impulses.wrench("tank_0_z_low").numpy()[2]
-    press = (run(solver, 24).impulses.wrench("tank_0_z_low").numpy()[2] - before) / 1.0
+    press = (run(solver, 12).impulses.wrench("tank_0_z_low").numpy()[2] - before) / 0.5
     volume = solver.model.volume.numpy().sum()
     assert press == pytest.approx(DENSITY * G * volume, rel=0.01)
 
@@ -161,7 +163,7 @@ def with_solid(solid: FreeBody, mixture: bool):
     return liquid(outside, CELLS, [TANK], free=[solid], planes=TANK.sides())
 
 
-@pytest.mark.parametrize("mixture", [False, True])
+@pytest.mark.parametrize("mixture", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_sphere_on_the_floor_is_lifted_like_in_free_water(mixture):
     radius, frames = 0.125, 12
     solid = FreeBody("solid", "sphere", (radius,) * 3, (0.52, 0.5, radius), density=1e6)
@@ -172,8 +174,15 @@ def test_sphere_on_the_floor_is_lifted_like_in_free_water(mixture):
     np.testing.assert_allclose(lift[:2], 0.0, atol=0.02 * lift[2])
 
 
-@pytest.mark.parametrize("mixture", [False, True])
-@pytest.mark.parametrize("shape", ["sphere", "capsule"])
+@pytest.mark.parametrize(
+    ("shape", "mixture"),
+    [
+        ("sphere", False),
+        pytest.param("sphere", True, marks=pytest.mark.slow),
+        pytest.param("capsule", False, marks=pytest.mark.slow),
+        ("capsule", True),
+    ],
+)
 def test_water_does_not_turn_a_solid_about_an_axis_of_symmetry(mixture, shape):
     """The solid is so light that the smallest torque would make it spin."""
     half = (0.15,) * 3 if shape == "sphere" else (0.3, 0.15, 0.15)
@@ -235,7 +244,7 @@ def test_press_starts_above_all_bodies_not_at_the_surface():
 
 
 def test_run_stops_where_walls_leave_too_little_room():
-    press = {"kind": "press", "depth": 0.85, "down": 0.2}
+    press = {"kind": "press", "depth": 0.85, "down": 0.1}
     walls = [*pool().data()["boundaries"], press]
     scene = pool(boundaries=walls, accuracy={"cells": 5})
     report = Simulation(prepare(ball(), scene, RunContext(threads=1))).run().report

@@ -21,6 +21,8 @@ from phy124.simulation import Simulation, prepare
 from support.liquids import CELLS, DENSITY, DX, LEVEL, TANK, G, block, pool
 from support.shapes import ball
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 SMOOTH = Container(inside=TANK.inside, contact="separate", friction=0.0)
 
 
@@ -102,7 +104,10 @@ def test_cube_without_damping_floats_at_its_depth(ratio):
     assert np.linalg.norm(v - v.mean(axis=0), axis=1).max() < 0.3
 
 
-@pytest.mark.parametrize(("density", "E", "speed"), [(30.0, 1e3, 0.0), (300.0, 1e3, 3.0)])
+@pytest.mark.parametrize(
+    ("density", "E", "speed"),
+    [pytest.param(30.0, 1e3, 0.0, marks=pytest.mark.slow), (300.0, 1e3, 3.0)],
+)
 def test_very_light_or_soft_body_gains_no_energy(density, E, speed):
     solver = immersed((5, 5, 8), (5, 5, 5), density=density, E=E, v=(0, 0, -speed))
     start = energy(solver)
@@ -134,7 +139,7 @@ def test_energy_contains_the_momentum_of_the_liquid_alone():
 
 
 def test_held_block_is_lifted_by_the_water_it_displaces():
-    solver = run(immersed((5, 5, 3), (6, 6, 6), density=DENSITY, held=[1]), 12)
+    solver = run(immersed((5, 5, 3), (6, 6, 6), density=DENSITY, held=[1]), 6)
     np.testing.assert_array_equal(rise(solver), 0)
     solver.pairs.begin()
     run(solver, 6)
@@ -144,7 +149,14 @@ def test_held_block_is_lifted_by_the_water_it_displaces():
     assert lift == pytest.approx(DENSITY * G * 36 * DX**2 * (level - 3 * DX), rel=0.05)
 
 
-@pytest.mark.parametrize(("low", "below"), [(5.5, 0.0), (5.5, 0.75), (5.0, 0.4)])
+@pytest.mark.parametrize(
+    ("low", "below"),
+    [
+        pytest.param(5.5, 0.0, marks=pytest.mark.slow),
+        (5.5, 0.75),
+        pytest.param(5.0, 0.4, marks=pytest.mark.slow),
+    ],
+)
 def test_film_below_a_body_has_the_pressure_at_the_floor(low, below):
     """Neither the body's sides nor the floor have to be on grid lines."""
     held = {"density": DENSITY, "held": [1], "below": below}
@@ -244,9 +256,10 @@ def simulate(**changes):
 
 
 def test_force_on_all_particles_acts_like_a_uniform_acceleration():
-    gravity = {"kind": "gravity"}
-    uniform, lost = simulate(forces=[gravity, {"kind": "acceleration", "a": ZONE["a"]}])
-    pushed, same = simulate(forces=[gravity, ZONE])
+    gravity, time = {"kind": "gravity"}, {"frames": 6, "fps": 24}
+    steady = {"kind": "acceleration", "a": ZONE["a"]}
+    uniform, lost = simulate(forces=[gravity, steady], time=time)
+    pushed, same = simulate(forces=[gravity, ZONE], time=time)
     assert uniform[0, 0] > 0.03
     np.testing.assert_allclose(pushed, uniform, atol=2e-3)
     assert same == pytest.approx(lost, abs=0.03)
@@ -282,7 +295,12 @@ def test_body_can_be_moved_at_once_in_a_live_run():
 
 
 @pytest.mark.parametrize(
-    ("threads", "viscosity"), [(1, 0.0), (1, 1000.0), pytest.param(2, 0.0, marks=pytest.mark.slow)]
+    ("threads", "viscosity"),
+    [
+        pytest.param(1, 0.0, marks=pytest.mark.slow),
+        (1, 1000.0),
+        pytest.param(2, 0.0, marks=pytest.mark.slow),
+    ],
 )
 def test_run_on_lattices_resumes_bit_for_bit(threads, viscosity, tmp_path):
     scene = on_lattice().replaced({"objects.0.material.viscosity": viscosity})

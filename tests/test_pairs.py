@@ -18,6 +18,8 @@ from phy124.studies.validation.bodies import lattice, make_solver
 from support.balls import collision, elements, pressed
 from support.shapes import trimmed_ball, watch_run
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 CELL = 0.1
 BOX = lattice((8,) * 3, 1 / 20)
 """A cube of 0.4 m."""

@@ -223,7 +223,7 @@ def test_field_has_one_particle_per_lattice_cell(rng):
     assert np.ptp(particles.volume) < 2.5 * 0.05**3
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=4, deadline=None)
 @given(
     n=st.integers(1, 12),
     rank=st.integers(0, 3),

@@ -1,5 +1,6 @@
 """Energy balance of liquids with bodies: work of the pressure on bodies, and losses by cause."""
 
+from functools import cache
 from typing import Any, cast
 
 import pytest
@@ -13,6 +14,15 @@ from phy124.simulation import Simulation, prepare
 from support.liquids import G, pool
 from support.runs import resumed
 from support.shapes import ball
+from support.solids import coarse
+
+
+@pytest.fixture(scope="module", autouse=True)
+def large_voxels():
+    """All runs have them, since some are compared with each other."""
+    with coarse():
+        yield
+
 
 STONE = {"name": "stone", "shape": "sphere", "size": 0.4, "lift": 0.5, "place": (0.4, 0.4)}
 FREE = {**STONE, "motion": {"kind": "free"}}
@@ -22,6 +32,12 @@ def scene(solver="lattice", objects=(), frames=8, **changes):
     every = [*pool().data()["objects"], *objects]
     start = pool(objects=every, time={"frames": frames, "fps": 24}, **changes)
     return start.replaced({"accuracy.solver": solver, "checks.energy": True})
+
+
+@cache
+def energy_of(solver):
+    """Return the report of a whole run, which several tests compare with."""
+    return start(solver).run().report["energy"]
 
 
 def start(solver="lattice", threads=1, **changes):
@@ -35,7 +51,7 @@ def total(energy):
 
 @pytest.mark.parametrize("solver", ["lattice", "mpm"])
 def test_report_divides_the_loss_of_a_pool(solver, tmp_path):
-    whole = start(solver).run().report["energy"]
+    whole = energy_of(solver)
     assert whole["exchange"]["object"] < -0.2 * whole["turnover"], "the impact slows the ball down"
     assert whole["projection"] > 0.1 * whole["turnover"]
     numerical = sum(whole[name] for name in ("projection", "density", "shock", "transfers"))
@@ -49,7 +65,12 @@ LIGHT = {"law": "neo_hookean", "density": 10, "E": 1e3, "damping": 5}
 
 
 @pytest.mark.parametrize(
-    ("solver", "material"), [("lattice", LIGHT), ("mpm", LIGHT), ("mpm", {"law": "foam"})]
+    ("solver", "material"),
+    [
+        ("lattice", LIGHT),
+        pytest.param("mpm", LIGHT, marks=pytest.mark.slow),
+        ("mpm", {"law": "foam"}),
+    ],
 )
 def test_impact_of_a_light_or_yielding_ball_creates_no_energy(solver, material):
     """Steps that are too long, or a surface that is too stiff, would create 0.7 to 1.0 times it."""
@@ -121,7 +142,7 @@ def weaken(monkeypatch, factor):
     monkeypatch.setattr(Bodies, "receive", broken)
 
 
-@pytest.mark.parametrize("solver", ["lattice", "mpm"])
+@pytest.mark.parametrize("solver", ["lattice", pytest.param("mpm", marks=pytest.mark.slow)])
 def test_exchange_that_creates_energy_is_detected(solver, monkeypatch):
     """The ball pushes the water, but the water does not push the ball."""
     phrase = "exchange between the liquid and the bodies created"
@@ -137,14 +158,13 @@ def test_exchange_that_creates_energy_is_detected(solver, monkeypatch):
     assert any(phrase in note for note in cast("Any", hidden.find(Watchdog)).notes())
 
 
-@pytest.mark.parametrize("solver", ["lattice", "mpm"])
+@pytest.mark.parametrize("solver", [pytest.param("lattice", marks=pytest.mark.slow), "mpm"])
 def test_threads_and_varying_gravity_do_not_change_the_losses(solver):
     steady = {"kind": "keyframes", "times": [0.0, 0.01], "factors": [0.9999999, 1.0]}
     varied = {"forces": [{"kind": "gravity", "profile": steady}]}
-    whole, *others = (
-        start(solver, **changes).run().report["energy"] for changes in ({}, {"threads": 2}, varied)
-    )
-    for other in others:
+    whole = energy_of(solver)
+    for changes in ({"threads": 2}, varied):
+        other = start(solver, **changes).run().report["energy"]
         for name in ("lost", "forces", "projection", "density", "transfers"):
             assert other[name] == pytest.approx(whole[name], abs=3e-3 * whole["turnover"]), name
         assert other["exchange"]["object"] == pytest.approx(whole["exchange"]["object"], rel=1e-3)

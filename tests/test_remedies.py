@@ -67,7 +67,7 @@ def test_only_sure_remedies_are_proposed_on_lattices():
     assert len(find_remedies(causes, scene.replaced(solver.changes))) == 4
 
 
-@pytest.mark.parametrize("up", [0.05, 0.2])
+@pytest.mark.parametrize("up", [pytest.param(0.05, marks=pytest.mark.slow), 0.2])
 def test_each_remedy_of_a_flattened_body_works(up):
     """The law of the ball has a finite stress at zero volume; the ball is not damped."""
     press = {"kind": "press", "depth": 0.8, "down": 0.1, "up": up, "friction": 0.6}

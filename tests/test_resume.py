@@ -73,9 +73,9 @@ FLYING = {"object.velocity": [0, 0, -30], "material": {"law": "sand"}}
 @pytest.mark.parametrize(
     ("preset", "changes", "options"),
     [
-        ("press", {}, {}),
+        pytest.param("press", {}, {}, marks=pytest.mark.slow),
         ("press", {}, {"threads": 2}),
-        ("bounce", {"time.frames": 4}, {}),
+        pytest.param("bounce", {"time.frames": 4}, {}, marks=pytest.mark.slow),
         ("drop", FLYING, {}),
         ("drop", {"material": {"law": "snow"}}, {}),
     ],

@@ -28,6 +28,9 @@ from support.clips import random_clip
 from support.pages import blocks
 from support.runs import resumed
 from support.shapes import ball
+from support.solids import coarse
+
+pytestmark = pytest.mark.usefixtures("coarse_solids")
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -57,10 +60,11 @@ def run(few_gaussians) -> Simulation:
     """A ball on a box, and a smaller copy on it."""
     copy = {"name": "copy", "on": "ball", "size": 0.6, "material": {"law": "neo_hookean"}}
     objects = [*ON_BOX["objects"], copy]
-    made = Simulation(
-        prepare(ball(400), scene(**{**ON_BOX, "objects": objects}), RunContext(threads=1))
-    )
-    made.run()
+    with coarse():
+        made = Simulation(
+            prepare(ball(400), scene(**{**ON_BOX, "objects": objects}), RunContext(threads=1))
+        )
+        made.run()
     return made
 
 

@@ -21,6 +21,9 @@ from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
 from support.shapes import ball
+from support.solids import coarse
+
+pytestmark = pytest.mark.usefixtures("coarse_solids")
 
 SMALL = {"accuracy": {"cells": 8}, "time.frames": 2, "object.lift": 0.1}
 CELL = 0.05
@@ -41,7 +44,8 @@ def clip_of(law):
 
 @pytest.fixture(scope="module")
 def water():
-    return clip_of("fluid")
+    with coarse():
+        return clip_of("fluid")
 
 
 @pytest.mark.parametrize("shine", [True, False])

@@ -161,7 +161,10 @@ def whole():
     ).run()
 
 
-@pytest.mark.parametrize("threads", [None, 3, 2, 1])
+@pytest.mark.parametrize(
+    "threads",
+    [None, pytest.param(3, marks=pytest.mark.slow), 2, pytest.param(1, marks=pytest.mark.slow)],
+)
 def test_resume_is_exact_or_names_other_threads(tmp_path, whole, threads):
     run = Simulation(prepare(ball(600), Scene.named("wind").replaced(SCENE), RunContext(threads=3)))
     context = RunContext(threads=threads)

@@ -45,7 +45,14 @@ def program(tmp_path_factory) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("particles", "alone"), [(32, 0), (256, 0), (300, 2 * 12), (31, 2 * 31), (544, 0)]
+    ("particles", "alone"),
+    [
+        (32, 0),
+        pytest.param(256, 0, marks=pytest.mark.slow),
+        (300, 2 * 12),
+        (31, 2 * 31),
+        pytest.param(544, 0, marks=pytest.mark.slow),
+    ],
 )
 def test_whole_warps_write_together_and_the_rest_alone(program, particles, alone):
     assert run(program, particles) == (0, 0, alone)

@@ -22,8 +22,8 @@ PRECISIONS = ["float32", pytest.param("float64", marks=pytest.mark.slow)]
 DEVICES = ["cpu", pytest.param("cuda:0", marks=pytest.mark.gpu)]
 
 
-LONG = (33, 34, 37)
-"""Long cases; the tests of tips below, and tests/test_liquid_lattices.py, run parts of them."""
+LONG = (30, 33, 34, 35, 36, 37)
+"""Long cases; the tests of tips below, of remedies and of liquids run parts of them."""
 MARKED = [
     pytest.param(
         case, marks=[pytest.mark.slow] * (case.number in LONG), id=f"{case.number}-{case.name}"

@@ -18,7 +18,10 @@ from phy124.scene import Scene
 from support.shapes import ball
 
 
-@pytest.mark.parametrize(("count", "noted"), [(100, True), (3000, False), (None, False)])
+@pytest.mark.parametrize(
+    ("count", "noted"),
+    [(100, True), (3000, False), pytest.param(None, False, marks=pytest.mark.slow)],
+)
 def test_far_fewer_gaussians_than_requested_are_noted(count, noted):
     duck = Path(__file__).parents[1] / "demo/examples/duck.png"
     made = make_object(duck, Scene(), RunContext(device="cpu"), method="grabcut", count=count)

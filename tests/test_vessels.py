@@ -30,21 +30,39 @@ def vessel(radius, height, wall):
     return trimesh.creation.revolve(profile, sections=48)
 
 
-@pytest.mark.parametrize("shape", [(0.4, 1.0), (0.5, 0.5), (0.5, 0.12)])
-@pytest.mark.parametrize("voxels", [0.3, 1, 2, 3.5])
+SHAPES = [(0.4, 1.0), (0.5, 0.5), (0.5, 0.12)]
+TELLING = [(0.3, 0), (1, 1), (2, 2), (3.5, 0)]
+"""Walls [voxels] and shapes that are tested by default: each of them once."""
+
+
+@pytest.mark.parametrize(
+    ("voxels", "shape"),
+    [
+        pytest.param(
+            voxels,
+            shape,
+            id=f"{voxels}-shape{index}",
+            marks=[pytest.mark.slow] * ((voxels, index) not in TELLING),
+        )
+        for voxels in (0.3, 1, 2, 3.5)
+        for index, shape in enumerate(SHAPES)
+    ],
+)
 def test_vessels_stay_hollow(shape, voxels):
     mesh = vessel(*shape, voxels / ACROSS)
     assert find_interior(cover(mesh)).volume == pytest.approx(mesh.volume, rel=0.12)
 
 
-@pytest.mark.parametrize("voxels", [1, 2, 3])
+@pytest.mark.parametrize(
+    "voxels", [1, *(pytest.param(voxels, marks=pytest.mark.slow) for voxels in (2, 3))]
+)
 def test_noisy_vessel_stays_hollow(rng, voxels):
     mesh = vessel(0.4, 1.0, voxels / ACROSS)
     solid = find_interior(shifted(cover(mesh), 0.1, rng))
     assert solid.volume == pytest.approx(mesh.volume, rel=0.25)
 
 
-@pytest.mark.parametrize("noise", [0, 0.3])
+@pytest.mark.parametrize("noise", [pytest.param(0, marks=pytest.mark.slow), 0.3])
 @pytest.mark.parametrize("name", ["ball", "capsule", "box"])
 def test_shells_without_a_bottom_are_filled(rng, name, noise):
     mesh = {

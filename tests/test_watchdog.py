@@ -25,6 +25,8 @@ from phy124.simulation import Simulation, prepare
 from phy124.studies.validation.bodies import block, make_solver
 from support.shapes import ball, watch_run
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 QUICK = {"accuracy": {"cells": 8}, "time.frames": 5}
 
 
