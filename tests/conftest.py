@@ -63,6 +63,14 @@ def each_module_is_compiled_once() -> None:
 
 
 @pytest.fixture(scope="session", autouse=True)
+def messages_call_the_program_phy124() -> Iterator[None]:
+    """They name the program that was started, which `python -m pytest` is not, either."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "argv", ["pytest", *sys.argv[1:]])
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
 def bodies_of_many_tests_are_set_up_once() -> Iterator[None]:
     """Tests simulate few bodies again and again; their set-up takes longer than their motion."""
     from phy124.particles import lattice, solid, thickness
