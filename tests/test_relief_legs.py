@@ -52,10 +52,25 @@ BISON = (
 )
 
 
-def test_legs_are_in_pairs_on_both_sides():
+@pytest.fixture(scope="module")
+def horse():
+    return relief(picture(HORSE), count=8000)
+
+
+@pytest.fixture(scope="module")
+def car():
+    return relief(picture(CAR), count=8000)
+
+
+@pytest.fixture
+def no_table(monkeypatch):
+    """Fitting a table takes most of the time; that a horse is none is seen in `horse`."""
+    monkeypatch.setattr("phy124.generators.relief.single.find_table", lambda *_: None)
+
+
+def test_legs_are_in_pairs_on_both_sides(horse):
     """Without this assumption, all legs are in the vertical plane through the length."""
-    made = relief(picture(HORSE), count=8000)
-    low = made.means[made.means[:, 2] < -0.15]
+    low = horse.means[horse.means[:, 2] < -0.15]
     assert abs(low[:, 0]).min() > 0.01
     for side in (-1, 1):
         along = low[side * low[:, 0] > 0, 1]
@@ -69,31 +84,28 @@ def test_a_stout_animal_is_no_table():
     assert np.ptp(made.means[:, 0]) < 0.6 * np.ptp(made.means[:, 1])
 
 
-def test_feet_on_both_sides_stand_on_the_same_ground():
-    made = relief(picture(HORSE), count=8000)
-    assert heights(made, 1) == pytest.approx(heights(made, -1), abs=0.01)
+def test_feet_on_both_sides_stand_on_the_same_ground(horse):
+    assert heights(horse, 1) == pytest.approx(heights(horse, -1), abs=0.01)
 
 
-def test_the_front_camera_still_sees_the_picture(renderer):
-    wanted, seen = outlines(renderer, relief(picture(HORSE), count=8000), picture(HORSE))
+def test_the_front_camera_still_sees_the_picture(renderer, horse):
+    wanted, seen = outlines(renderer, horse, picture(HORSE))
     assert (wanted & seen).sum() / (wanted | seen).sum() > 0.93
 
 
-def test_wheels_are_on_both_sides():
-    made = relief(picture(CAR), count=8000)
-    low = made.means[made.means[:, 2] < -0.16]
+def test_wheels_are_on_both_sides(car):
+    low = car.means[car.means[:, 2] < -0.16]
     assert abs(low[:, 0]).min() > 0.01
     assert len(low[low[:, 0] > 0]) == pytest.approx(len(low[low[:, 0] < 0]), rel=0.1)
 
 
-def test_a_car_has_flat_sides():
+def test_a_car_has_flat_sides(car):
     """Without this assumption, the bonnet is a third as deep as the cabin."""
-    made = relief(picture(CAR), count=8000)
-    bonnet = made.means[(made.means[:, 1] > 0.25) & (made.means[:, 1] < 0.35)]
-    assert np.ptp(bonnet[:, 0]) > 0.8 * np.ptp(made.means[:, 0])
+    bonnet = car.means[(car.means[:, 1] > 0.25) & (car.means[:, 1] < 0.35)]
+    assert np.ptp(bonnet[:, 0]) > 0.8 * np.ptp(car.means[:, 0])
 
 
-def test_few_points_are_enough_for_legs():
+def test_few_points_are_enough_for_legs(no_table):
     assert len(relief(picture(HORSE), count=200).means) > 50
 
 
@@ -110,9 +122,9 @@ def test_a_head_that_hangs_below_the_belly_is_not_a_leg():
     assert len(legs.legs) == 4
 
 
-def test_points_of_legs_inside_the_body_are_removed():
-    made = relief(picture(HORSE), count=8000)
-    inner = made.means[(abs(made.means[:, 1] + 0.03) < 0.2) & (abs(made.means[:, 2] - 0.08) < 0.05)]
+def test_points_of_legs_inside_the_body_are_removed(horse):
+    along, up = horse.means[:, 1], horse.means[:, 2]
+    inner = horse.means[(abs(along + 0.03) < 0.2) & (abs(up - 0.08) < 0.05)]
     assert abs(inner[:, 0]).min() > 0.1
 
 
@@ -125,7 +137,7 @@ def test_other_objects_have_no_legs(mask):
     assert _legs_beside(image(mask)) is None
 
 
-def test_a_picture_from_behind_keeps_the_legs_in_the_plane():
+def test_a_picture_from_behind_keeps_the_legs_in_the_plane(no_table):
     mirrored = Image.fromarray(np.asarray(picture(HORSE))[:, ::-1])
     made = relief(picture(HORSE), count=5000, back=mirrored)
     low = made.means[made.means[:, 2] < -0.15]

@@ -145,7 +145,8 @@ class Table:
 def shrink(values: Field, scale: int) -> Field:
     """Average values [H,W] over squares of `scale` pixels."""
     height, width = values.shape
-    return values.reshape(height // scale, scale, width // scale, scale).mean(axis=(1, 3))
+    size = (width // scale, height // scale)
+    return np.asarray(cv2.resize(values, size, interpolation=cv2.INTER_AREA))
 
 
 def _between(first: Field, upper: float, second: Field, lower: float) -> Field:
