@@ -119,7 +119,9 @@ WEIRD = {
 }
 
 
-@pytest.mark.parametrize("name", WEIRD)
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=[pytest.mark.slow] * (n == "tiny")) for n in WEIRD]
+)
 def test_weird_pictures_give_sound_gaussians(name):
     gaussians = relief(WEIRD[name], count=3000)
     assert len(gaussians) > 1000
