@@ -155,6 +155,14 @@ def every_frame(monkeypatch):
 
 
 @pytest.fixture
+def in_this_process(monkeypatch):
+    """Code that would run in a separate process runs in this one: starting another takes longer
+    than most of these tests."""
+    run = "phy124.runtime.isolated.run"
+    monkeypatch.setattr(run, lambda function, *options, **_: function(*options))
+
+
+@pytest.fixture
 def temporary(tmp_path, monkeypatch) -> Path:
     """The folder for temporary files."""
     folder = tmp_path / "temporary"

@@ -26,6 +26,7 @@ def saved(folder, picture, name="it.png", **options):
     return folder / name
 
 
+@pytest.mark.usefixtures("in_this_process")
 @pytest.mark.parametrize(("name", "tolerance"), [("a.png", 0), ("a.webp", 12), ("a.jpg", 12)])
 def test_formats(tmp_path, name, tolerance):
     opened = open_image(saved(tmp_path, Image.fromarray(gradient()), name, quality=98))
@@ -34,6 +35,7 @@ def test_formats(tmp_path, name, tolerance):
     assert (np.asarray(opened)[..., 3] == 255).all()
 
 
+@pytest.mark.usefixtures("in_this_process")
 @pytest.mark.parametrize("name", ["a.jpg", "a.png", "a.webp"])
 def test_exif_orientation_is_applied(tmp_path, name):
     exif = Image.Exif()
@@ -44,12 +46,14 @@ def test_exif_orientation_is_applied(tmp_path, name):
     np.testing.assert_allclose(np.asarray(opened)[..., :3].astype(int), turned, atol=12)
 
 
+@pytest.mark.usefixtures("in_this_process")
 def test_sixteen_bit_grey_is_scaled_not_clipped(tmp_path):
     deep = np.linspace(0, 65535, 400).reshape(20, 20).astype(np.uint16)
     opened = np.asarray(open_image(saved(tmp_path, Image.fromarray(deep))))
     np.testing.assert_allclose(opened[..., 0], deep / 257, atol=0.51)
 
 
+@pytest.mark.usefixtures("in_this_process")
 def test_grey_palette_and_cmyk(tmp_path):
     grey = Image.fromarray(gradient()[..., 0])
     opened = np.asarray(open_image(saved(tmp_path, grey)))
@@ -69,6 +73,7 @@ def test_grey_palette_and_cmyk(tmp_path):
     np.testing.assert_allclose(red, [255, 0, 0, 255], atol=6)
 
 
+@pytest.mark.usefixtures("in_this_process")
 def test_long_pictures_are_reduced(tmp_path, monkeypatch):
     monkeypatch.setattr(image, "WORK_SIDE", 12)
     opened = open_image(saved(tmp_path, Image.fromarray(gradient())))
@@ -184,6 +189,7 @@ def test_a_photograph_of_several_pictures_is_no_animation(tmp_path):
     assert opened.size == (30, 20) and opened.info["frames"] == 1
 
 
+@pytest.mark.usefixtures("in_this_process")
 def test_sixteen_bit_colour_and_transparent_colours(tmp_path):
     grey = Image.fromarray(gradient()[..., 0])
     key = saved(tmp_path, grey, transparency=8)
@@ -201,6 +207,7 @@ def test_sixteen_bit_colour_and_transparent_colours(tmp_path):
     np.testing.assert_allclose(opened[..., :3], colour / 257, atol=1)
 
 
+@pytest.mark.usefixtures("in_this_process")
 def test_odd_exif_leaves_a_photograph_upright(tmp_path):
     """Pillow reads a Software of two numbers, and cannot write it."""
     software = photographs.Entry(0x0131, 5, 1, struct.pack("<II", 1, 2))
@@ -212,6 +219,7 @@ def test_odd_exif_leaves_a_photograph_upright(tmp_path):
         assert open_image(tmp_path / "a.jpg").size == (20, 30)
 
 
+@pytest.mark.usefixtures("in_this_process")
 def test_colours_become_srgb_and_a_damaged_profile_is_noted(tmp_path):
     patch = Image.new("RGB", (16, 16), (200, 40, 30))
     p3 = open_image(saved(tmp_path, patch, icc_profile=photographs.display_p3()))

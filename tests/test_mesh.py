@@ -21,14 +21,12 @@ from phy124.progress import silent
 from phy124.runtime import isolated
 
 trimesh = pytest.importorskip("trimesh", reason="trimesh is not installed")
-pytestmark = pytest.mark.usefixtures("coarse_solids")
+pytestmark = pytest.mark.usefixtures("coarse_solids", "in_this_process")
 RED = (1.0, 0.0, 0.0)
 
 
 @pytest.fixture(autouse=True)
-def in_this_process_with_fewer_gaussians(monkeypatch):
-    """Starting another process for each file would take most of the time of these tests."""
-    monkeypatch.setattr(isolated, "run", lambda function, *options, **_: function(*options))
+def fewer_gaussians(monkeypatch):
     monkeypatch.setattr(meshes, "COUNT", 6000)
     monkeypatch.setattr(meshes, "OBJECT_COUNT", 6000)
 
