@@ -100,7 +100,7 @@ def test_invisible_gaussians_have_no_surface(tmp_path):
 def test_hidden_gaussians_colour_no_vertex():
     """The surface has the colours of the nearest Gaussians that are visible."""
     body, orange = ball(), [0.9, 0.5, 0.1]
-    vertices = find_surface(body).vertices
+    vertices = find_surface(body, 24).vertices
     count = len(vertices)
     hidden = Gaussians.from_rgb(
         np.repeat(vertices, 8, axis=0),
@@ -111,7 +111,7 @@ def test_hidden_gaussians_colour_no_vertex():
     )
     rgb = np.tile(orange, (len(body), 1))
     seen = Gaussians.from_rgb(body.means, body.quats, body.scales, body.opacities, rgb)
-    painted = find_surface(join([seen, hidden])).rgb
+    painted = find_surface(join([seen, hidden]), 24).rgb
     np.testing.assert_allclose(painted, np.tile(orange, (len(painted), 1)), atol=0.01)
 
 
@@ -198,6 +198,7 @@ def test_export_moves_the_mesh_of_the_user(tmp_path, spun, capsys):
     assert document["accessors"][position]["count"] == len(sphere.vertices)
 
 
+@pytest.mark.usefixtures("in_this_process")
 @pytest.mark.parametrize(
     ("corner", "sentence"), [("nan 0 0", "NaN or infinite"), ("0 0 1", "have no surface area")]
 )
@@ -210,6 +211,7 @@ def test_broken_surface_is_refused(tmp_path, spun, capsys, corner, sentence):
     assert not (tmp_path / "clip.glb").exists()
 
 
+@pytest.mark.usefixtures("in_this_process")
 def test_unused_vertices_do_not_scale_the_surface(tmp_path, spun):
     sphere = trimesh.creation.icosphere(subdivisions=1)
     vertices = [*sphere.vertices, [9, 9, 9], [np.nan, 0, 0]]

@@ -85,7 +85,8 @@ def arguments_for(name: str, folder: Path) -> list[str]:
         return ["effects", path, "--json"]
     if name.endswith(".safetensors"):
         return ["render", path, "--views", "front", "--size", "16", *out]
-    return ["generate", path, *QUICK, *out]
+    method = ["--foreground", "grabcut"] if name.endswith(".jpg") else []  # loads no network
+    return ["generate", path, *QUICK, *method, *out]
 
 
 def damaged(name: str, samples: dict[str, bytes], folder: Path, seed: int) -> list[str]:
