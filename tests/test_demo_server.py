@@ -259,7 +259,8 @@ def test_the_error_of_a_scene_is_measured_by_name(client):
 def test_without_frames_the_preset_says_how_long_it_is(client, file):
     from phy124.scene import Scene
 
-    options = {"preset": "press", "frames": None, "changes": FEW}
+    quick = {"view.size": 16, "material.E": 1e4}
+    options = {"preset": "press", "frames": None, "changes": {**FEW, **quick}}
     assert generate(client, file, **options)[1]["frames"] == Scene.named("press").time.frames
 
 

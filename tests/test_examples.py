@@ -90,7 +90,13 @@ def test_programs_are_numbered_and_small_pictures():
     assert sum(path.stat().st_size for path in pictures) < 500_000
 
 
-QUICK = [program for program in PROGRAMS if name_of(program) not in LONG]
+ALIKE = ("heights", "softer", "camera", "material")
+"""Programs that call the same functions as others do; the slow tests run them as they stand."""
+QUICK = [
+    pytest.param(program, marks=[pytest.mark.slow] * (name_of(program) in ALIKE))
+    for program in PROGRAMS
+    if name_of(program) not in LONG
+]
 
 
 @pytest.mark.parametrize("program", QUICK, ids=name_of)

@@ -266,3 +266,17 @@ def test_the_work_of_the_networks_is_what_torch_counts():
     around = map(sum, zip(*around, strict=True))
     for result, answer in ((step.times(2), STEP), (around, AROUND), (lgm, WORK)):
         assert tuple(result) == pytest.approx(tuple(answer), rel=1e-3)
+
+
+def test_generating_without_weights_is_refused_in_a_sentence(
+    picture, tmp_path, capsys, monkeypatch
+):
+    monkeypatch.setenv("HF_HUB_CACHE", str(tmp_path / "hub"))
+    monkeypatch.delenv("PHY124_WEIGHTS", raising=False)
+    out = str(tmp_path / "out")
+    for name in ("lgm", "dreamgaussian"):
+        assert main(["generate", str(picture), "--generator", name, "--out", out]) == 2
+        error = capsys.readouterr().err
+        assert "phy124 weights fetch" in error and "`relief`" in error
+        assert "Traceback" not in error
+    assert not (tmp_path / "out").exists()

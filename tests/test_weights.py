@@ -282,21 +282,3 @@ def test_command_line_lists_and_fetches(hub, tmp_path, monkeypatch, capsys):
     assert main(["weights", "--weights", str(folder)]) == 1
     assert main(["weights", "fetch"]) == 2
     assert "needs the name of a set" in capsys.readouterr().err
-
-
-def test_generating_without_weights_is_refused_in_a_sentence(tmp_path, capsys):
-    from PIL import Image
-
-    from phy124.__main__ import main
-
-    picture = Image.new("RGBA", (64, 64))
-    picture.paste((200, 30, 30, 255), (16, 16, 48, 48))
-    picture.save(tmp_path / "square.png")
-    out = str(tmp_path / "out")
-    for name in ("lgm", "dreamgaussian"):
-        arguments = ["generate", str(tmp_path / "square.png"), "--generator", name, "--out", out]
-        assert main(arguments) == 2
-        error = capsys.readouterr().err
-        assert "phy124 weights fetch" in error and "`relief`" in error
-        assert "Traceback" not in error
-    assert not (tmp_path / "out").exists()
