@@ -91,7 +91,9 @@ def test_a_back_alone_is_painted_on_the_inflated_front():
     assert (gaussians.rgb[facing < -0.5].argmax(axis=1) == 2).all()
 
 
-@pytest.mark.parametrize(("facing", "sign"), [("left", 1), pytest.param("right", -1, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    ("facing", "sign"), [("left", 1), pytest.param("right", -1, marks=pytest.mark.slow)]
+)
 def test_the_nose_is_where_the_side_faces(facing, sign):
     nose = ellipse(40) | ellipse(15, 10, 30, 60)
     means = made(picture(ellipse(40)), picture(nose), facing=facing).means
