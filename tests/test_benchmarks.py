@@ -5,6 +5,7 @@ import sys
 
 import pytest
 
+import phy124
 from support.pages import ROOT
 from support.processes import run_program
 
@@ -36,6 +37,34 @@ for program in sys.argv[2:]:
 """
 
 
+def names_in(module: str) -> set[str]:
+    """Return the names that a module of ours has after its import, read from its source."""
+    paths = [root / module.replace(".", "/") for root in (ROOT, ROOT / "tests")]
+    (path,) = (
+        p for p in [*paths, *(p / "__init__" for p in paths)] if p.with_suffix(".py").is_file()
+    )
+    nodes = list(ast.walk(ast.parse(path.with_suffix(".py").read_text("utf-8"))))
+    names = {node.name for node in nodes if isinstance(node, ast.FunctionDef | ast.ClassDef)}
+    names |= {n.id for n in nodes if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)}
+    names |= {n.asname or n.name for n in nodes if isinstance(n, ast.alias)}
+    files = path.parent.iterdir() if path.stem == "__init__" else ()
+    return names | {file.stem for file in files}
+
+
+@pytest.mark.parametrize("program", PROGRAMS, ids=lambda path: path.stem)
+def test_names_of_ours_that_a_program_imports_exist(program):
+    """Without the imports, which take long."""
+    for node in ast.walk(ast.parse(program.read_text("utf-8"))):
+        if isinstance(node, ast.ImportFrom) and node.module:
+            first, _, rest = node.module.partition(".")
+            names = {alias.name for alias in node.names}
+            if first == "phy124" and not rest:
+                names -= set(phy124.__all__)
+            if first in (*OURS, "phy124", "demo", "bridge"):
+                assert names <= names_in(node.module), node.module
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("folder", sorted({path.parent for path in PROGRAMS}), ids=lambda f: f.name)
 def test_every_name_that_a_program_imports_exists(folder):
     """Programs that nobody runs for a while break by renamings."""
