@@ -146,7 +146,7 @@ def shrink(values: Field, scale: int) -> Field:
     """Average values [H,W] over squares of `scale` pixels."""
     height, width = values.shape
     size = (width // scale, height // scale)
-    return np.asarray(cv2.resize(values, size, interpolation=cv2.INTER_AREA))
+    return np.asarray(cv2.resize(values, size, interpolation=cv2.INTER_AREA), np.float64)
 
 
 def _between(first: Field, upper: float, second: Field, lower: float) -> Field:
