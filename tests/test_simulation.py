@@ -345,3 +345,20 @@ def test_a_run_that_turns_out_endless_stops_by_itself(monkeypatch):
     assert re.search(r"time.budget: a substep is .+ s, limited by the stiffness of the", stopped)
     assert "fastest is particle" in stopped
     assert len(clip) >= 1
+
+
+@pytest.mark.parametrize(
+    ("preset", "solver"), [("drop", "lattice"), ("drop", "mpm"), ("water", "auto")]
+)
+def test_stored_velocities_are_those_at_the_positions(preset, solver):
+    """Free fall from rest, with few substeps: the motion does not depend on the velocities."""
+    data = {"time.fps": 60, "time.frames": 4, "object.lift": 2, "accuracy.cells": 8}
+    soft = {"material.E": 2e3, "material.damping": 0, "accuracy.solver": solver}
+    scene = Scene.named(preset).replaced(data | (soft if preset == "drop" else {}))
+    asked = scene.replaced({"velocities": True})
+    fallen, bare = (Simulation(prepare(ball(300), each)).run() for each in (asked, scene))
+    assert fallen.report["substeps"] < 12
+    vertical = fallen.velocities.mean(axis=1)[:, 2]
+    assert np.allclose(vertical, -9.81 * fallen.times, rtol=1e-3, atol=1e-6)
+    assert np.array_equal(fallen.means, bare.means) and np.array_equal(fallen.quats, bare.quats)
+    assert fallen.report["substeps"] == bare.report["substeps"]

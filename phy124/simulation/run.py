@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from functools import cached_property, partial
 from typing import Any
@@ -37,6 +37,11 @@ from phy124.simulation.report import report_clip, report_run
 from phy124.simulation.setup import Setup
 from phy124.simulation.solver import kernels, make_solver, wrap
 from phy124.simulation.spent import Spent
+
+BRIEF = 1e-3
+"""Length of the substep that advances velocities to the time of the positions, relative to the last
+substep.
+"""
 
 
 class Stopped(RuntimeError):
@@ -277,10 +282,11 @@ class Simulation:
         setup, state = self.setup, self.solver.state
         scenery, stage = setup.scenery, setup.context.watch.stage
         frame = Frame(index, time, scenery.moving)
+        with stage("simulate"):
+            v = self._velocities() if self.scene.velocities and self._deforms else None
         with stage("deform"):
             x, F = self.carrying() if setup.shapes else (state.x, state.deformation)
             if self._deforms:
-                v = state.v if self.scene.velocities else None
                 frame = self.deformer(x, F, index=index, time=time, velocities=v)
                 if self.deformer.rotations is not None:
                     self.rotations.append(scenery.turns(self.deformer.rotations))
@@ -297,6 +303,21 @@ class Simulation:
                 return frame
             carried = tuple(host(a)[self.deformer.carriers].astype(np.float32) for a in (x, F))
             return replace(frame, carried=carried)
+
+    def _velocities(self) -> NDArray:
+        """Return the particles' velocities [P,3], m/s, at the time of their positions.
+
+        The solver's velocities are half a substep behind. A very short substep, which is undone,
+        advances them to the time of the positions.
+        """
+        clock, v = self.solver.clock, host(self.solver.state.v).copy()
+        if clock.last_dt > 0:
+            before = self.checkpoint()
+            with suppress(Unstable):  # the next frame reports the error
+                self.solver.advance(clock.time + BRIEF * clock.last_dt)
+                v = host(self.solver.state.v).copy()
+            self.roll_back(before)
+        return v
 
     @property
     def _deforms(self) -> bool:
