@@ -199,6 +199,31 @@ def test_export_moves_the_mesh_of_the_user(tmp_path, spun, capsys):
 
 
 @pytest.mark.usefixtures("in_this_process")
+@pytest.mark.parametrize("older", [False, True])
+def test_surface_has_the_pose_of_the_object(tmp_path, capsys, older):
+    """An older clip states only the rotation, so its box determines scale and shift."""
+    parts = [trimesh.creation.box((10, 3, 5)), trimesh.creation.box((3, 2, 6))]
+    parts[1].apply_translation((3.5, 0.5, 5))
+    path, out = tmp_path / "a.obj", tmp_path / "out"
+    trimesh.util.concatenate(parts).export(path)
+    few = ["--set", "accuracy.cells=8", "object.turn=[0,0,30]", "--frames", "1", "--gaussians"]
+    few += ["400", "--views", "front", "--size", "32", "--out", str(out)]
+    assert run_command(["simulate", str(path), "--rotate", "0,40,0", "--scene", "drop", *few]) == 0
+    clip = Clip.load(out / "clip.safetensors")
+    if older:
+        read = {name: clip.report["capture"][name] for name in ("rotation", "floor", "coarse")}
+        clip = clip.with_report({**clip.report, "capture": read})
+    pieces, axes = load_pieces(path)
+    placed = trimesh.util.concatenate(fit_to_clip(pieces, clip, axes))
+    away = KDTree(placed.sample(200_000, seed=0)).query(clip.means[0])[0]
+    assert away.max() < (0.04 if older else 0.006)
+    for piece in pieces:
+        piece.vertices *= [1, 2, 1]
+    with pytest.raises(InputError, match=r"does not fit it\. Give the mesh from which the object"):
+        fit_to_clip(pieces, clip, axes)
+
+
+@pytest.mark.usefixtures("in_this_process")
 @pytest.mark.parametrize(
     ("corner", "sentence"), [("nan 0 0", "NaN or infinite"), ("0 0 1", "have no surface area")]
 )

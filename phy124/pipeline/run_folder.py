@@ -26,6 +26,7 @@ from phy124.io.growing import Growing
 from phy124.io.ply import write_ply
 from phy124.motion.packing import Packed
 from phy124.pipeline import resume
+from phy124.pipeline.file_placement import find_file_placement
 from phy124.pipeline.recording import PAUSE as PAUSE
 from phy124.pipeline.recording import Recording, sweep
 from phy124.rendering.film import cameras as cameras
@@ -37,7 +38,7 @@ from phy124.runtime.context import RunContext
 from phy124.runtime.failures import failure
 from phy124.runtime.memory import trim
 from phy124.scene import Scene, View
-from phy124.simulation import Interrupted, Simulation
+from phy124.simulation import Interrupted, Setup, Simulation
 
 CLIP, SCENE, PLY, CUTOUT = "clip.safetensors", "scene.toml", "gaussians.ply", "cutout.png"
 REPORT = "report.json"
@@ -211,7 +212,7 @@ class RunFolder:
     def _write(
         self, folder: Path, run: Simulation, clip: Clip, interrupted: bool
     ) -> dict[str, Any]:
-        report = self._report(clip, run.setup.cleaned_scene, interrupted)
+        report = self._report(clip, run.setup, interrupted)
         names = {SCENE, REPORT, CLIP, PLY, *self.files}
         if interrupted and not run.scene.unregistered:
             names.add(PAUSE)
@@ -275,8 +276,11 @@ class RunFolder:
         else:
             self.recording.leave()
 
-    def _report(self, clip: Clip, scene: Scene, interrupted: bool) -> dict[str, Any]:
+    def _report(self, clip: Clip, setup: Setup, interrupted: bool) -> dict[str, Any]:
+        scene = setup.cleaned_scene
         about = {"foreground": None, "cutout": None, "generator": None, **self.about}
+        if "scale" in (read := about.get("capture") or {}):
+            about["capture"] = {**read, "placement": find_file_placement(setup, read)}
         cleaning = [*about.get("cleaning", []), *clip.report["cleaning"]]
         report = {**about, **clip.report, "cleaning": cleaning}
         report |= view_report(clip, scene.view) if self.films else {}

@@ -17,7 +17,8 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from phy124.io.axes import orientation
+from phy124.errors import InputError
+from phy124.io.axes import euler, orientation
 from phy124.io.clip import Clip
 from phy124.io.content import Y_UP
 from phy124.io.files import replacing
@@ -30,6 +31,10 @@ CELLS = 56
 NEAREST = 12
 """Number of nearest Gaussians whose motion a vertex follows."""
 FLOAT, VERTICES = 5126, 34962
+MISFIT = 0.1
+"""Largest distance between the faces of the boxes around a mesh and around the object, relative to
+the object's size.
+"""
 TYPES = {1: "SCALAR", 3: "VEC3"}
 
 
@@ -89,21 +94,51 @@ def write_moved(
 
 
 def fit_to_clip(pieces: list[Any], clip: Clip, axes: tuple[str, str | None]) -> list[Any]:
-    """Return meshes that are scaled and shifted to match the object in the first frame of a clip.
+    """Return meshes in the pose that the first object has in the first frame of a clip.
 
-    The meshes are of the package trimesh. `axes` are the up and front directions of the meshes'
-    file.
+    If the clip was made from the meshes' file, its report states the pose. Otherwise, the meshes
+    are rotated like the object, and scaled and shifted to match the box of the Gaussians' centres.
+
+    Args:
+        pieces: Meshes of the package trimesh, in the coordinates of their file.
+        clip: The clip.
+        axes: Up and front directions of the meshes' file.
+
+    Raises:
+        InputError: The meshes and the object have different proportions.
     """
-    turn = orientation(*axes)
-    placed = [piece.copy() for piece in pieces]
-    for piece in placed:
-        piece.vertices = piece.vertices @ turn.T
-    low, high = _box(np.concatenate([piece.vertices for piece in placed]))
-    start, end = _box(clip.means[0][clip.object_mask].astype(np.float64))
-    scale = float((end - start).max() / (high - low).max())
-    for piece in placed:
-        piece.vertices = (piece.vertices - (low + high) / 2) * scale + (start + end) / 2
-    return placed
+    mask = clip.object_mask & (True if clip.object_id is None else clip.object_id == 0)
+    box = _box(clip.means[0][mask].astype(np.float64))
+    size, sides = float(np.ptp(box, axis=0).max()), np.zeros(3)
+    points = np.concatenate([piece.vertices for piece in pieces])
+    for rotation, scale, shift in _list_poses(points, box, clip, axes):
+        there = _box(scale * points @ rotation.T + shift)
+        if np.abs(there - box).max() <= MISFIT * size:
+            placed = [piece.copy() for piece in pieces]
+            for piece in placed:
+                piece.vertices = scale * piece.vertices @ rotation.T + shift
+            return placed
+        sides = np.ptp(there, axis=0)
+    mesh, body = (" x ".join(f"{side:.3g}" for side in each) for each in (sides, np.ptp(box, 0)))
+    limit = f"the object in the clip measures {body} m, so the mesh does not fit it."
+    remedy = "Give the mesh from which the object was made."
+    raise InputError("surface", f"mesh of {mesh} m", limit, remedy)
+
+
+def _list_poses(
+    points: NDArray[np.float64], box: NDArray[np.float64], clip: Clip, axes: tuple[str, str | None]
+) -> Iterator[tuple[NDArray[np.float64], float, NDArray[np.float64]]]:
+    """Yield likely poses (rotation, scale, shift) of a mesh with corners `points` [V,3]."""
+    read = clip.report.get("capture") or {}
+    if placement := read.get("placement"):
+        yield np.array(placement["rotation"]), placement["scale"], np.array(placement["shift"])
+    turn = euler(clip.scene.get("object", {}).get("turn", (0, 0, 0)))
+    for rotation in (read.get("rotation"), orientation(*axes)):
+        if rotation is not None:
+            both = turn @ rotation
+            ends = _box(points @ both.T)
+            scale = float(np.ptp(box, axis=0).max() / np.ptp(ends, axis=0).max())
+            yield both, scale, box.mean(axis=0) - scale * ends.mean(axis=0)
 
 
 def follow(clip: Clip, points: NDArray[np.float64]) -> Iterator[NDArray[np.float64]]:
@@ -137,8 +172,9 @@ def _fit_rotations(correlation: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.einsum("vij,vkj->vik", vt.transpose(0, 2, 1), u)
 
 
-def _box(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    return points.min(axis=0), points.max(axis=0)
+def _box(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the lower and upper corner [2,3]."""
+    return np.stack([points.min(axis=0), points.max(axis=0)])
 
 
 def _name(index: int) -> str:

@@ -72,7 +72,9 @@ def capture(
     has_up = file.reading.up is not None or file.reading.rotate is not None
     read = _on_floor(opened, has_up=has_up) if file.reading.floor else _alone(opened, file.path)
     scene = _with_floor(scene, read)
-    about = {"capture": {**read.about, "coarse": opened.coarse}}
+    shift = read.offset - read.scale * read.rotation @ opened.origin
+    transform = {"rotation": read.rotation.tolist(), "scale": read.scale, "shift": shift.tolist()}
+    about = {"capture": {**transform, "floor": read.floor, "coarse": opened.coarse}}
     metres = _in_metres(scene, read, opened.origin)
     return Capture(read.gaussians, metres, read.cleaning, about, opened.notes)
 
@@ -107,14 +109,14 @@ class _Read:
     scale: float
     offset: NDArray[np.float64]
     cleaning: list[str]
-    about: dict[str, Any]
+    floor: dict[str, Any] | None
+    """The detected floor, for the report."""
 
 
 def _alone(opened: Opened, name: str) -> _Read:
     scale, offset = unit_transform(opened.gaussians, name)
     placed = opened.gaussians.transform(scale, offset)
-    about = {"rotation": opened.rotation.tolist(), "floor": None}
-    return _Read(placed, len(placed), opened.rotation, scale, offset, opened.cleaning, about)
+    return _Read(placed, len(placed), opened.rotation, scale, offset, opened.cleaning, None)
 
 
 def _on_floor(opened: Opened, *, has_up: bool) -> _Read:
@@ -140,10 +142,7 @@ def _on_floor(opened: Opened, *, has_up: bool) -> _Read:
     if alone.any():
         count = f"{alone.sum()} of {len(above)} Gaussians above the floor"
         sentences.append(f"{count} floated far from all others and were dropped.")
-    about = {
-        "rotation": (turn @ opened.rotation).tolist(),
-        "floor": _describe_floor(floor, opened, lies),
-    }
+    about = _describe_floor(floor, opened, lies)
     return _Read(both, len(body), turn @ opened.rotation, scale, offset, sentences, about)
 
 
