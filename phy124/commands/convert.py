@@ -23,6 +23,7 @@ from phy124.io.formats import (
     write_gaussians,
     written_formats,
 )
+from phy124.io.formats.losses import describe_losses
 from phy124.io.formats.moving_mesh import fit_to_clip, write_moved
 from phy124.io.growing import write_frames_clip
 from phy124.io.sequence import write_sequence
@@ -76,7 +77,7 @@ class Convert:
             gaussians = merge_to(gaussians, self.merge)
         write_gaussians(self.out, gaussians, chosen.name, antialiased=content.antialiased)
         notes = [*_note_dropped(content.dropped), *content.remarks(), *_note_far(content)]
-        notes += note_lost(gaussians, chosen)
+        notes += note_lost(gaussians, chosen) + describe_losses(self.out, gaussians, chosen)
         return _show([self.out], len(gaussians), chosen, notes, as_json=self.json)
 
 
@@ -133,10 +134,13 @@ class Export:
         notes = self._note_look(clip, chosen)
         if self.merge is not None:
             clip = merge_clip_to(clip, self.merge)
+        shine, frame = make_shine(clip), clip.frame(self.frame or 0)
+        first = (frame if shine is None else shine.shape(frame)).gaussians
         with Bars(quiet=self.json) as bars:
-            files = self._write(clip, chosen, bars)
-        first = clip.frame(self.frame or 0).gaussians
+            files = self._write(clip, first, chosen, bars)
         notes += note_lost(first, chosen)
+        if files[0].suffix != ".zip":
+            notes += describe_losses(files[0], first, chosen)
         return _show(files, len(first), chosen, notes, as_json=self.json)
 
     def _note_look(self, clip: Clip, chosen: Format) -> list[str]:
@@ -176,7 +180,7 @@ class Export:
     def _list_read(self) -> list[Path]:
         return [path for path in (self.clip, self.surface) if path is not None]
 
-    def _write(self, clip: Clip, chosen: Format, bars: Bars) -> list[Path]:
+    def _write(self, clip: Clip, first: Gaussians, chosen: Format, bars: Bars) -> list[Path]:
         if self.frame is None and chosen.write_clip is not None:
             path = self.out or self.clip.with_suffix(chosen.suffix)
             if self.surface is not None:
@@ -194,8 +198,7 @@ class Export:
         index = self.frame or 0
         name = f"{self.clip.stem}_{index + 1:04}{chosen.suffix}"
         path = self.out or self.clip.with_name(name)
-        shine, frame = make_shine(clip), clip.frame(index)
-        chosen.write(path, (frame if shine is None else shine.shape(frame)).gaussians)
+        chosen.write(path, first)
         return [path]
 
 

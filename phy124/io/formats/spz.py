@@ -120,8 +120,12 @@ ANTIALIASED, EXTENDED = 1, 2
 MOST_RECORDS = 1 << 20
 """Largest number of bytes of the extensions that are read; the rest is ignored."""
 COLOUR = 0.15
-MOST_BITS = 16
-"""Number of fractional bits with which centres are written; fewer if a coordinate exceeds 128."""
+FINENESS = 16
+"""An object of 1 m has 2^16 steps of the centres. Smaller objects have as many steps if possible,
+and larger objects have this step if their coordinates fit into 24 bits.
+"""
+MOST_BITS = 23
+"""Largest number of fractional bits of the centres."""
 REACH = (1 << 23) - 1
 GZIP_LEVEL = 4
 """gzip level for writing; level 6 would take twice as long and save 1 %."""
@@ -340,9 +344,12 @@ def _pack(gaussians: Gaussians, version: int, *, antialiased: bool) -> tuple[Hea
 
 
 def _bits(means: NDArray) -> int:
-    """Return the largest number of fractional bits for which all centres fit into 24 bits."""
-    reach = float(np.abs(means).max(initial=1e-6))
-    return int(np.clip(np.floor(np.log2(REACH / reach)), 0, MOST_BITS))
+    """Return the number of fractional bits of the centres, which must fit into 24 bits."""
+    reach = float(np.abs(means).max(initial=1e-30))
+    size = float(np.ptp(means, axis=0).max(initial=1e-30))
+    fitting = np.floor(np.log2(REACH / reach))
+    wanted = max(FINENESS, FINENESS - np.floor(np.log2(size)))
+    return int(np.clip(min(fitting, wanted), 0, MOST_BITS))
 
 
 def _byte(values: NDArray) -> NDArray[np.uint8]:
