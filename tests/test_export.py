@@ -200,3 +200,13 @@ def test_no_export_replaces_the_files_of_a_run(tmp_path, capsys, name):
     assert main(["export", clip, "--to", "ply", "--out", out]) == 2
     assert "end in .ply. Rename it." in capsys.readouterr().err
     assert (tmp_path / name).read_text() == "kept"
+
+
+def test_no_export_replaces_the_gaussians_of_a_run(tmp_path, capsys, clip):
+    clip.save(tmp_path / "clip.safetensors")
+    (tmp_path / "report.json").write_text('{"files": ["clip.safetensors", "gaussians.ply"]}')
+    path, out = tmp_path / "gaussians.ply", str(tmp_path / "gaussians.ply")
+    path.write_text("kept")
+    assert main(["export", str(tmp_path / "clip.safetensors"), "--to", "ply", "--out", out]) == 2
+    assert "is a result of the run in its folder. Give another" in capsys.readouterr().err
+    assert path.read_text() == "kept"

@@ -28,6 +28,7 @@ from phy124.io.formats.moving_mesh import fit_to_clip, write_moved
 from phy124.io.growing import write_frames_clip
 from phy124.io.sequence import write_sequence
 from phy124.particles.merging import merge_clip_to, merge_to
+from phy124.pipeline.run_folder import list_results
 from phy124.rendering.shine import drawn_frames, make_shine
 from phy124.scene import Format as Filmed
 
@@ -35,7 +36,7 @@ MERGE = tyro.conf.arg(metavar="N")
 TO = "; ".join(f"{name}: {format.title}" for name, format in written_formats().items())
 FRAMES = "frames: a clip with all values of each frame"
 OF_RUNS = (".json", ".toml", ".safetensors", ".png", ".mp4")
-"""File name endings of a run's results, which an export must not replace."""
+"""File name endings of a run's results that no format has."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +68,7 @@ class Convert:
             InputError: The file cannot be read, or the new file cannot be written.
         """
         chosen = find_written_format(self.out, self.to)
-        _refuse_other_ending(self.out, chosen)
+        _refuse_name(self.out, chosen)
         refuse_replacing(self.out, [self.file])
         content = read_gaussians(
             self.file, up=self.up, front=self.front, dialect=self.dialect, rotate=self.rotate
@@ -120,7 +121,7 @@ class Export:
         chosen = self._find_format()
         refuse_replacing(self.out or self.clip.with_suffix(chosen.suffix), self._list_read())
         if self.out is not None and not self.all:
-            _refuse_other_ending(self.out, chosen)
+            _refuse_name(self.out, chosen)
         clip = Clip.load(self.clip)
         if self.frame is not None and self.all:
             limit = "--frame selects one frame, but --all selects every frame."
@@ -202,7 +203,11 @@ class Export:
         return [path]
 
 
-def _refuse_other_ending(path: Path, chosen: Format) -> None:
+def _refuse_name(path: Path, chosen: Format) -> None:
+    """Refuse to replace a file of a run, and a file name with the ending of another format."""
+    if path.name in list_results(path.parent):
+        limit = "this file is a result of the run in its folder."
+        raise InputError("out", path, limit, "Give another name or folder.")
     ending, known = path.suffix.lower(), written_formats().values()
     endings = {each.name: (each.suffix, *each.other_suffixes) for each in known}
     others = [name for name, each in endings.items() if ending in each]
