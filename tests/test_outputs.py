@@ -196,9 +196,10 @@ def test_only_what_is_asked_for_is_made(tmp_path, clip):
 @pytest.mark.parametrize(
     ("changes", "sentence"),
     [
+        ({"formats": ["gif", "gif"]}, "formats names a format twice. Name each once."),
         ({"outputs": ["depth", "depth"]}, "outputs names an output twice. Name each once."),
         ({"outputs": ["z"]}, "view.outputs.0 = z: it must be one of depth, alpha"),
-        ({"outputs": []}, "formats must not be empty"),
+        ({"outputs": []}, "Name a format such as mp4, or an output, such as --outputs"),
     ],
 )
 def test_outputs_that_cannot_be_are_refused(changes, sentence):

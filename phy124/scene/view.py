@@ -126,8 +126,13 @@ class View(Section):
                 "there must be at least one view, azimuth or camera, and "
                 "their names must differ; name each once"
             )
-        if not (self.formats or self.outputs) or len(set(self.formats)) != len(self.formats):
-            raise ValueError("formats must not be empty or name a format twice; name each once")
+        if not (self.formats or self.outputs):
+            raise ValueError(
+                "without formats and outputs, no file would be written; "
+                "name a format such as mp4, or an output, such as --outputs depth"
+            )
+        if len(set(self.formats)) != len(self.formats):
+            raise ValueError("formats names a format twice; name each once")
         if len(set(self.outputs)) != len(self.outputs):
             raise ValueError("outputs names an output twice; name each once")
         return self
