@@ -277,3 +277,16 @@ def test_openusd_reads_the_moving_surface(tmp_path, spun):
 def _saved(folder, clip) -> str:
     clip.save(folder / "clip.safetensors")
     return str(folder / "clip.safetensors")
+
+
+@pytest.mark.parametrize("name", ["moving-mesh", "usdz"])
+@pytest.mark.parametrize(
+    "report",
+    [{"liquids": [{"runs": [[0, 1]]}]}, {"grains": 9}, {"balance": {"tearing": {"likely": True}}}],
+)
+def test_moving_mesh_of_separating_material_is_noted(tmp_path, spun, name, report):
+    pytest.importorskip("pxr" if name == "usdz" else "skimage", reason="an extra is missing")
+    path = tmp_path / f"a{FORMATS[name].suffix}"
+    assert FORMATS[name].write_motion(path, spun) == []
+    (note,) = FORMATS[name].write_motion(path, spun.with_report(report))
+    assert "keeps its triangles" in note and "Use --to mesh --all" in note

@@ -178,3 +178,10 @@ def test_empty_clip_is_refused(tmp_path):
     with pytest.raises(InputError, match="no frames"):
         write_lattice4d(tmp_path / "a.p4d", empty)
     assert not list(tmp_path.iterdir())
+
+
+def test_note_states_large_errors_of_the_shapes(tmp_path):
+    """Gaussians that keep their shapes while the lattice is sheared."""
+    assert write_lattice4d(tmp_path / "a.p4d", clip_of([bend(0), bend(0.05)])) == []
+    (note,) = write_lattice4d(tmp_path / "a.p4d", clip_of([bend(0), bend(1.5)]))
+    assert "changes their covariances by up to" in note and "Use --to usd or --to 4dgs." in note

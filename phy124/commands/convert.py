@@ -24,7 +24,7 @@ from phy124.io.formats import (
     written_formats,
 )
 from phy124.io.formats.losses import describe_losses
-from phy124.io.formats.moving_mesh import fit_to_clip, write_moved
+from phy124.io.formats.moving_mesh import fit_to_clip, note_separation, write_moved
 from phy124.io.growing import write_frames_clip
 from phy124.io.sequence import write_sequence
 from phy124.particles.merging import merge_clip_to, merge_to
@@ -138,7 +138,7 @@ class Export:
         shine, frame = make_shine(clip), clip.frame(self.frame or 0)
         first = (frame if shine is None else shine.shape(frame)).gaussians
         with Bars(quiet=self.json) as bars:
-            files = self._write(clip, first, chosen, bars)
+            files = self._write(clip, first, chosen, bars, notes)
         notes += note_lost(first, chosen)
         if files[0].suffix != ".zip":
             notes += describe_losses(files[0], first, chosen)
@@ -181,14 +181,18 @@ class Export:
     def _list_read(self) -> list[Path]:
         return [path for path in (self.clip, self.surface) if path is not None]
 
-    def _write(self, clip: Clip, first: Gaussians, chosen: Format, bars: Bars) -> list[Path]:
+    def _write(
+        self, clip: Clip, first: Gaussians, chosen: Format, bars: Bars, notes: list[str]
+    ) -> list[Path]:
+        """Write the files, whose paths are returned, and append notes about them."""
         if self.frame is None and chosen.write_clip is not None:
             path = self.out or self.clip.with_suffix(chosen.suffix)
             if self.surface is not None:
                 pieces, axes = load_pieces(self.surface)
                 write_moved(path, clip, fit_to_clip(pieces, clip, axes), progress=bars)
+                notes += note_separation(clip)
                 return [path]
-            chosen.write_motion(path, clip, drawn_frames(clip), progress=bars)
+            notes += chosen.write_motion(path, clip, drawn_frames(clip), progress=bars)
             return [path]
         if self.all:
             path = self.out or self.clip.with_name(f"{self.clip.stem}-{chosen.name}")

@@ -40,7 +40,7 @@ from phy124.gaussians import SH_C0
 from phy124.io.clip import Clip
 from phy124.io.files import replacing
 from phy124.io.formats import lattice4d
-from phy124.io.formats.lattice4d import measure, measure_speeds
+from phy124.io.formats.lattice4d import LOOSE, measure, measure_speeds
 
 VIEWER = Path(__file__).with_name("viewer")
 SCRIPTS = ("vendor/playcanvas.min.js", "pack.js", "stage.js", "shine.js", "player.js")
@@ -52,8 +52,6 @@ GZIP = 31
 """Value of zlib's parameter `wbits` that selects a gzip header and the largest window."""
 BLOCK = 3 << 20
 """Number of bytes that are processed at a time; base64 requires a multiple of 3."""
-LOOSE = 0.5
-"""Largest error of the Gaussians' shapes for which a clip is stored as a P4D file."""
 Staged = tuple[dict[str, Any], NDArray[np.uint8]]
 """Plain data about the lighting stage, and shadow maps [T,C,C]
 (phy124/rendering/stage/build.py).

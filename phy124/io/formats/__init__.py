@@ -70,9 +70,9 @@ class Format:
     """Up and front directions that the format prescribes."""
     read: Callable[[Path], Content] | None = None
     encode: Encoder | None = None
-    write_clip: Callable[..., None] | None = None
-    """Function that writes all frames of a clip in the axes of phy124 into one file; None if a file
-    stores only one frame.
+    write_clip: Callable[..., list[str] | None] | None = None
+    """Function that writes all frames of a clip in the axes of phy124 into one file, and may return
+    notes; None if a file stores only one frame.
     """
     draws: bool = False
     """Whether `write_clip` has the keyword `frames`, because a file stores the colour and opacity
@@ -98,7 +98,8 @@ class Format:
         """Write one frame to a file atomically."""
         if self.encode is None:
             assert self.write_clip is not None, f"{self.name} is not written"
-            return self.write_clip(path, Clip.from_frames([Frame(0, 0.0, gaussians)]))
+            self.write_clip(path, Clip.from_frames([Frame(0, 0.0, gaussians)]))
+            return
         there = rotate_gaussians(gaussians, orientation(*self.axes).T)
         with replacing(path) as temporary:
             temporary.write_bytes(self.encode(there, antialiased=antialiased))
@@ -110,8 +111,8 @@ class Format:
         frames: Iterable[Frame] | None = None,
         *,
         progress: Progress = silent,
-    ) -> None:
-        """Write all frames into one file atomically.
+    ) -> list[str]:
+        """Write all frames into one file atomically; return notes about the file.
 
         Args:
             path: The file.
@@ -122,7 +123,7 @@ class Format:
         """
         assert self.write_clip is not None, f"{self.name} stores no motion"
         drawn = {"frames": frames} if self.draws else {}
-        self.write_clip(path, clip, progress=progress, **drawn)
+        return self.write_clip(path, clip, progress=progress, **drawn) or []
 
 
 FORMATS = {
@@ -145,7 +146,8 @@ FORMATS = {
             degree=0, read=splat.read, encode=splat.encode,
         ),
         Format(
-            "spz", "SPZ 3", ".spz", "centres in 24 bits, scales in steps of 6.5 %, others in bytes",
+            "spz", "SPZ 3", ".spz",
+            "centres in 24 bits, scales from 0.05 mm to 380 m in steps of 6.5 %, others in bytes",
             "Unreal Editor for Fortnite, Babylon.js, Cesium, Spark, TouchDesigner", 12,
             axes=Y_UP, read=spz.read, encode=spz.encode,
         ),

@@ -59,6 +59,8 @@ nodes with few Gaussians nearby would be undetermined.
 """
 STEP = TOLERANCE / 8
 """Quantisation step of the displacements of lattice nodes, relative to the object's size."""
+LOOSE = 0.5
+"""Largest error of the shapes for which a file shows the clip well; see `encode`."""
 LARGEST = 2**15 - 1
 TALLEST = 4.0
 """Largest magnitude of the logarithm of a Gaussian's scale divided by its scale at rest; exp(4) =
@@ -144,15 +146,22 @@ class Lattice:
 
 def write_lattice4d(
     path: str | os.PathLike[str], clip: Clip, *, progress: Progress = silent
-) -> None:
-    """Write the object of a clip as one file, atomically.
+) -> list[str]:
+    """Write the object of a clip as one file, atomically; return notes about its accuracy.
 
     Raises:
         InputError: The clip is empty, or the file cannot be written.
     """
-    parts, _ = encode(clip, clip.object_mask, progress=progress)
+    parts, shape = encode(clip, clip.object_mask, progress=progress)
     with replacing(path) as temporary, temporary.open("wb") as file:
         file.writelines(parts)
+    if shape <= LOOSE:
+        return []
+    return [
+        "P4D moves the centres of the Gaussians exactly enough, but changes their covariances by "
+        f"up to {100 * shape:.0f} % (99th percentile), since a lattice cannot describe this "
+        "motion. Use --to usd or --to 4dgs."
+    ]
 
 
 def encode(

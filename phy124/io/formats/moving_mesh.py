@@ -40,8 +40,8 @@ TYPES = {1: "SCALAR", 3: "VEC3"}
 
 def write_moving_mesh(
     path: str | os.PathLike[str], clip: Clip, *, progress: Progress = silent
-) -> None:
-    """Write the surface of a clip as an animated GLB, atomically.
+) -> list[str]:
+    """Write the surface of a clip as an animated GLB, atomically; return notes about its accuracy.
 
     Raises:
         InputError: The clip is empty, a package is missing, or the file cannot be written.
@@ -50,6 +50,20 @@ def write_moving_mesh(
     first = clip.frame(0).gaussians.select(clip.object_mask)
     piece = to_trimesh(find_surface(first, CELLS), linear=True)
     write_moved(path, clip, [piece], progress=progress)
+    return note_separation(clip)
+
+
+def note_separation(clip: Clip) -> list[str]:
+    """Return a note if the material of a clip flows, crumbles or tears, unlike a moving mesh."""
+    tearing = (clip.report.get("balance") or {}).get("tearing") or {}
+    flows = any(clip.report.get(name) for name in ("liquids", "fragments", "grains"))
+    if not (flows or tearing.get("likely")):
+        return []
+    return [
+        "The material flows, crumbles or tears, but a moving mesh keeps its triangles, so they are "
+        "distorted where the material separates. Use --to mesh --all, which writes the surface of "
+        "each frame."
+    ]
 
 
 def write_moved(

@@ -20,13 +20,17 @@ from phy124.io.clip import Clip
 from phy124.io.content import Y_UP
 from phy124.io.files import replacing
 from phy124.io.formats.mesh import find_surface, to_linear
-from phy124.io.formats.moving_mesh import CELLS, follow
+from phy124.io.formats.moving_mesh import CELLS, follow, note_separation
 from phy124.io.formats.usd import load_usd, save_at_times, set_times
 from phy124.progress import Progress, silent
 
 
-def write_usdz(path: str | os.PathLike[str], clip: Clip, *, progress: Progress = silent) -> None:
-    """Write the surface of a clip's object as an animated USDZ; needs the extras `usd` and `mesh`.
+def write_usdz(
+    path: str | os.PathLike[str], clip: Clip, *, progress: Progress = silent
+) -> list[str]:
+    """Write the surface of a clip's object as an animated USDZ; return notes about its accuracy.
+
+    This needs the extras `usd` and `mesh`.
 
     Raises:
         InputError: The clip is empty, a package is missing, or the file cannot be written.
@@ -70,6 +74,7 @@ def write_usdz(path: str | os.PathLike[str], clip: Clip, *, progress: Progress =
             )
         with replacing(path) as temporary:
             shutil.copyfile(package, temporary)
+    return note_separation(clip)
 
 
 def _bind_colours(stage: Any, mesh: Any) -> None:
