@@ -11,6 +11,7 @@ from html import escape
 from typing import Any
 
 from phy124.accuracy import Forecaster, Stop
+from phy124.accuracy.expectation import UNKNOWN
 from phy124.accuracy.forecast import GUESS
 from phy124.accuracy.load import QUIET, Load, LoadMeter, format_span
 from phy124.accuracy.promises import Promise, promise, why_broken
@@ -77,7 +78,9 @@ class Estimate:
         """The forecast as a message for the visitor."""
         busy = " while this machine is busy" if self.load.busy else ""
         text = f"About {format_span(self.span)}{busy}: {self.substeps:,} substeps of "
-        text += f"{round(self.particles, -3):,} particles. {self.promise.brief}"
+        text += f"{round(self.particles, -3):,} particles."
+        if self.promise.unmeasured != UNKNOWN:
+            text += f" {self.promise.brief}"
         if self.load.busy:
             slower = f"{self.load.simulation:.1f} times as long"
             text += f" Other programs on this machine make the motion take {slower} at present;"
@@ -287,6 +290,8 @@ def promise_of(
 
 def describe_error(promise: Promise, subject: str = "It is off") -> str:
     """Describe the error of a motion in a sentence, such as "It is off by at most 2 % of ..."."""
+    if promise.unmeasured == UNKNOWN:
+        return "Its error is known after the first run."
     if promise.error is None:
         return _NOT_MEASURED if promise.unmeasured else _NOT_KNOWN
     until = "" if promise.seconds is None else f", until {promise.seconds:.1f} s"
@@ -303,7 +308,8 @@ def stops_table(stops: Sequence[Stop], chosen: object) -> str:
     rows = [
         f"<tr{mark.get(stop.name, '')}><td>{escape(stop.name.capitalize())}</td>"
         f"<td>about {format_seconds(stop.seconds)}</td>"
-        f"<td>{stop.promise.off(stop.pixels)}</td></tr>"
+        f"<td>{'' if stop.promise.unmeasured == UNKNOWN else stop.promise.off(stop.pixels)}</td>"
+        "</tr>"
         for stop in stops
     ]
     return f'<table class="stops">{"".join(rows)}</table>'

@@ -47,6 +47,8 @@ THINNEST = 0.7
 """Thickness [cells] below which the error no longer depends on the thickness."""
 SOLID = Proportions(thickness=1.0, compliance=0.1)
 """Proportions of a thick object."""
+UNKNOWN = "an object of unknown proportions"
+"""Kind of a scene whose object does not exist yet."""
 STIFFEST, SOFTEST = 0.02, 100.0
 """Smallest and largest compliance between which the error depends on the compliance."""
 
@@ -159,7 +161,7 @@ def expect(
     if outside:
         return Expectation(None, f"{such} {outside}")
     if proportions is None:
-        return Expectation(None, "an object of unknown proportions")
+        return Expectation(None, UNKNOWN)
     # The predicted error is never smaller than on the finest measured grid.
     finest = measured["cells"][1]
     grids = [
