@@ -3,7 +3,7 @@
  * file of Gaussians may replace the picture. */
 'use strict';
 (() => {
-  const { h, follow, mark, server, Questions } = globalThis.Phy124;
+  const { h, follow, mark, state, server, Questions } = globalThis.Phy124;
   const KEPT = 'phy124-picture', LARGEST = 3e6; // a browser tab can store a few MB of text
   const SIDE = 2048; // the server uses no larger picture
   const ACCEPT = 'image/png,image/jpeg,image/webp,image/heic,image/heif,image/avif,.heic,.heif,.avif';
@@ -46,7 +46,10 @@
       for (const name of ['dragover', 'dragleave', 'drop']) {
         zone.addEventListener(name, (event) => { event.preventDefault(); zone.classList.toggle('over', name === 'dragover'); });
       }
-      zone.addEventListener('drop', (event) => this.take({ file: event.dataTransfer.files[0] }));
+      zone.addEventListener('drop', ({ dataTransfer: { files } }) => {
+        if (files.length === 1) this.take({ file: files[0] });
+        else this.say(files.length ? 'Choose one picture at a time.' : 'This is not a file.', true);
+      });
       return zone;
     }
 
@@ -88,6 +91,7 @@
 
     /** Choose an example or a file, and store it to send it again; `ready`: its result is already on the stage. */
     take(chosen, ready = false) {
+      if (state.running || state.touching) return this.say('The picture was not changed, because a run is going on.', true);
       Object.assign(this, { chosen, fresh: !ready, corrected: null });
       this.begin(chosen);
     }

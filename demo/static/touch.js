@@ -46,6 +46,7 @@
       this.canvas = h('canvas', { tabindex: 0, role: 'application', 'aria-label': 'The object. Drag it to hold and throw it. By keyboard, Enter grabs the top of the object, and arrow keys, Page Up and Page Down move it; Enter lets go. Arrow keys with Shift turn the view.' });
       const cut = document.querySelector('#cutout img')?.getAttribute('src') || document.querySelector('#photo img')?.getAttribute('src');
       this.status = h('p', { class: 'touch-status', role: 'status' }, 'Starting …');
+      this.grid = h('small', { class: 'touch-grid' });
       this.rate = h('p', { class: 'touch-rate' });
       const gravity = h('select', { 'aria-label': 'Gravity', onchange: () => this.say({ do: 'gravity', value: GRAVITIES[gravity.value] }) },
         ...Object.keys(GRAVITIES).map((name) => h('option', { value: name }, name)));
@@ -57,7 +58,7 @@
         h('label', {}, 'Gravity', gravity), h('label', { class: 'touch-soft' }, 'Stiffer', this.soft, 'Softer'),
         this.saving);
       this.ending = button('End', () => this.leave());
-      this.box = h('section', { class: 'touch', 'aria-label': 'Touch' }, h('div', { class: 'touch-view' }, this.canvas, cut ? h('img', { class: 'hero', src: cut, alt: '' }) : null, this.rate), h('div', { class: 'touch-foot' }, this.status, this.tools, this.ending));
+      this.box = h('section', { class: 'touch', 'aria-label': 'Touch' }, h('div', { class: 'touch-view' }, this.canvas, cut ? h('img', { class: 'hero', src: cut, alt: '' }) : null, this.rate), h('div', { class: 'touch-foot' }, this.status, this.tools, this.ending, this.grid));
       this.element.replaceChildren(this.box);
       this.listen();
       mark({ touching: true });
@@ -72,7 +73,7 @@
       this.pose = { ...this.home };
       this.prepare();
       this.status.textContent = 'Drag the object. Drag next to it to turn the view.';
-      this.status.title = lattice.sentence;
+      this.grid.textContent = lattice.sentence;
       this.soft.parentElement.hidden = !lattice.softens;
       this.tools.disabled = false;
       this.canvas.classList.add('ready');

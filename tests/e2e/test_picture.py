@@ -29,6 +29,27 @@ def test_after_a_refused_picture_nothing_older_is_generated(visit, tmp_path):
     assert visit.page.locator("#progress section").count() == 0
 
 
+GIVE = """([where, event, count]) => {
+    const data = new DataTransfer();
+    for (let i = 0; i < count; i++) data.items.add(new File(['?'], 'a.png', { type: 'image/png' }));
+    const sent = event === 'paste' ? new ClipboardEvent(event, { clipboardData: data })
+        : new DragEvent(event, { dataTransfer: data });
+    (where ? document.querySelector(where) : document).dispatchEvent(sent);
+}"""
+
+
+def test_a_picture_is_kept_if_the_next_one_is_not_used(visit):
+    page = visit.page
+    visit.begin(frames=60)
+    page.evaluate(GIVE, [None, "paste", 1])
+    page.get_by_text("The picture was not changed, because a run is going on.").wait_for()
+    page.locator("#cancel").click()
+    page.wait_for_selector("#go:not([disabled])")
+    page.evaluate(GIVE, ["#photo", "drop", 10])
+    page.get_by_text("Choose one picture at a time.").wait_for()
+    assert page.locator("#cutout img").is_visible() and visit.complaints == []
+
+
 def test_another_picture_names_the_work_that_it_ends(visit):
     page = visit.page
     page.route("**/phy124/jobs/**", lambda route: route.fulfill(json={"state": "running"}))

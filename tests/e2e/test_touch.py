@@ -56,6 +56,7 @@ def test_the_object_follows_the_pointer_and_comes_back(visit):
     assert page.locator("#cutout img").bounding_box()["y"] > 0, "the rail is scrolled up"
     assert page.evaluate("['#side', '#viewer'].every((e) => document.querySelector(e).inert)")
     assert "Drag the object" in page.locator(".touch-status").inner_text()
+    assert "cells across the object" in page.locator(".touch-grid").inner_text()
     start = page.evaluate(AWAY)
     x, y = page.evaluate(TOP)
     page.mouse.move(x, y + 8)
@@ -97,7 +98,7 @@ def test_resting_object_is_drawn_once_with_all_gaussians(visit):
     page.wait_for_function(f"{HAND}.fine && {HAND}.frames > {HAND}.pictures + 20")
     drawn = page.evaluate(f"{HAND}.pictures")
     width, shown = page.evaluate(f"[{HAND}.canvas.width, {HAND}.canvas.clientWidth]")
-    assert width == shown, "at full resolution"
+    assert width == shown * page.evaluate("devicePixelRatio"), "at full resolution"
     page.locator(".touch canvas").focus()
     page.keyboard.press("ArrowRight")
     page.wait_for_function(f"{HAND}.pictures > {drawn} + 2 && {HAND}.fine")
