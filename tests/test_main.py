@@ -149,6 +149,14 @@ def test_render_makes_every_format_from_any_angle(made, tmp_path, capsys):
     assert "Choose the format webm, mov, webp, png or gif" in capsys.readouterr().err
 
 
+def test_render_refuses_a_folder_named_like_a_video(made, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("phy124.commands.render.film", lambda *_: pytest.fail("it began"))
+    (tmp_path / "front.mp4").mkdir()
+    clip = str(made / "clip.safetensors")
+    assert main(["render", clip, "--out", str(tmp_path), "--views", "front"]) == 2
+    assert "front.mp4: it is a folder, but a result of the run" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("change", ["grains=false", "material.tint=none"])
 def test_render_rejects_values_of_the_simulation(made, tmp_path, capsys, change):
     clip = str(made / "clip.safetensors")

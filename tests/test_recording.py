@@ -45,6 +45,16 @@ def test_a_run_killed_at_a_frame_goes_on_bit_for_bit(tmp_path, every_frame, chan
     same(tmp_path / "whole", tmp_path / "killed")
 
 
+def test_a_folder_named_like_a_result_is_refused_before_going_on(tmp_path, every_frame):
+    copy = copied_at(3, tmp_path / "whole", tmp_path / "killed")
+    pipeline.simulate(ball(300), SCENE, tmp_path / "whole", keep=True, each=copy)
+    (tmp_path / "killed/front.mp4").mkdir()
+    before = names(tmp_path / "killed")
+    with pytest.raises(InputError, match=r"front\.mp4: it is a folder, but a result of the run"):
+        pipeline.go_on(tmp_path / "killed", SCENE)
+    assert names(tmp_path / "killed") == before
+
+
 def test_harmonics_that_turn_go_on_bit_for_bit(tmp_path, every_frame):
     still = ball(300)
     sh = np.random.default_rng(0).normal(size=(len(still), 4, 3)).astype(np.float32)

@@ -16,7 +16,8 @@ from phy124.errors import Cancelled, InputError
 from phy124.io.clip import Clip
 from phy124.io.files import staging
 from phy124.io.video import refuse_missing_encoder
-from phy124.rendering.film import film, film_notes, refuse_missing_writers
+from phy124.pipeline.run_folder import refuse_folders
+from phy124.rendering.film import film, film_notes, name_files, refuse_missing_writers
 from phy124.rendering.framing import describe_framing
 from phy124.runtime.context import RunContext
 from phy124.runtime.cores import refuse_threads
@@ -64,6 +65,7 @@ class Render:
         )
         out = self.out or self.clip.parent
         refuse_missing_writers(view)
+        refuse_folders(out, name_files(view))
         photograph = self._photograph()
         with Bars(quiet=self.json, keeps=True) as bars, staging(out, keeps=True) as folder:
             with suppress(Cancelled):

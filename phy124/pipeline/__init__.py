@@ -246,7 +246,9 @@ def go_on(
         _refuse_other(asked, paused, out)
     if inputs is not None and "inputs" in about:  # a run from Python may have no files
         refuse_other_inputs(inputs, about["inputs"], out)
-    refuse_unfilmable(Scene.from_data(about["scene"], str(path)))
+    interrupted = Scene.from_data(about["scene"], str(path))
+    refuse_unfilmable(interrupted)
+    refuse_folder(Path(out), interrupted.view)
     frames = resume.frames_of(path)
     entries = {name: value for name, value in about.items() if name not in ("scene", "frames")}
     cutout = resume.read_files(path).get(CUTOUT)

@@ -344,12 +344,21 @@ def refuse_folder(out: Path, view: View | None, read: Sequence[Path] = ()) -> No
         InputError: A folder has the name of a result, or a result has the name of a file in `read`.
     """
     names = {CLIP, SCENE, PLY, CUTOUT, REPORT} | (set() if view is None else name_files(view))
+    refuse_folders(out, names)
+    for name in sorted(names | list_results(out)):
+        refuse_replacing(out / name, read)
+
+
+def refuse_folders(out: Path, names: Iterable[str]) -> None:
+    """Refuse an output folder in which a folder has the name of a result.
+
+    Raises:
+        InputError: A folder has such a name.
+    """
     for name in sorted(names):
         if (out / name).is_dir():
             limit = "it is a folder, but a result of the run has this name."
             raise InputError("out", out / name, limit, "Remove it, or choose another folder.")
-    for name in sorted(names | list_results(out)):
-        refuse_replacing(out / name, read)
 
 
 def remove_results(folder: Path, names: Iterable[str]) -> None:
