@@ -416,6 +416,13 @@ def test_the_manifest_has_exactly_the_clips_of_the_present_plan(balls, tmp_path)
         assert [clip.scene["material"]["E"] for _, clip in data] == list(stiffness)
         assert {clip.scene["object"]["lift"] > 0 for _, clip in data} == {scene == "drop"}
 
+    def stop(*_) -> None:
+        raise Cancelled
+
+    with pytest.raises(Cancelled):
+        run(plan("bounce", 1e5), out, workers=0, progress=stop)
+    assert len(Dataset(out)) == 0, "no clip of this plan is made"
+
 
 def test_tasks_reserve_what_their_scenes_need():
     scene = Scene.named("press")

@@ -60,13 +60,16 @@ def write_manifest(storage: Storage, clips: Iterable[tuple[str, Item]]) -> int:
     keys = Seen()
     settings = list(_settings(storage, clips, keys, arrow))
     results = list(_results(storage, keys, arrow))
-    if not results:
+    if results:
+        plan, made = _combine(settings, arrow), _combine(results, arrow)
+        made = made.take(_newest(made, plan["key"].to_numpy().astype("S")))
+        for name in made.column_names:
+            if name not in plan.column_names:
+                plan = plan.append_column(name, made[name])
+    elif (other := _read(storage)) is not None:
+        plan = other.slice(0, 0)  # all clips are those of another plan
+    else:
         return 0
-    plan, made = _combine(settings, arrow), _combine(results, arrow)
-    made = made.take(_newest(made, plan["key"].to_numpy().astype("S")))
-    for name in made.column_names:
-        if name not in plan.column_names:
-            plan = plan.append_column(name, made[name])
     written = io.BytesIO()
     parquet.write_table(plan, written)
     storage.write(MANIFEST, written.getvalue())
