@@ -61,8 +61,8 @@ def test_a_scene_asks_for_it_with_apic_alone():
 @pytest.mark.slow
 def test_a_beam_bends_as_far_as_the_elastica():
     """Within the experiment's band, which the affine fit leaves by 4 %."""
-    (drop,) = beam.measure_drops(2, (1.0,), beam.load_tip, gradient="spline")
+    (drop,) = beam.measure_particle_drops(2, (1.0,), beam.load_tip, gradient="spline")
     (band,) = beam.make_band((1.0,), beam.elastica_drop, "PL²/EI")
     assert band.low <= drop <= band.high
-    (soft,) = beam.measure_drops(2, (1.0,), beam.load_tip)
+    (soft,) = beam.measure_particle_drops(2, (1.0,), beam.load_tip)
     assert soft > 1.03 * band.high

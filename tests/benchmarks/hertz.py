@@ -15,7 +15,7 @@ import math
 from typing import Any
 
 from phy124.studies.validation.experiments.elastic_ball import fit_law
-from phy124.studies.validation.experiments.hertz import NU, RADIUS, E, hertz, press
+from phy124.studies.validation.experiments.hertz import NU, RADIUS, E, hertz, press_particles
 
 DEPTHS = (0.02, 0.035, 0.05)
 """Depths by which each plate presses [m]."""
@@ -38,7 +38,7 @@ def errors(cells: int, depth: float = DEPTHS[-1], **options: Any) -> list[float]
         depth: Depth by which the plate presses [m].
         given: `per_axis` and `precision` of `pressed`.
     """
-    forces = (press(cells // 2, depth, phase=phase, **options) for phase in PHASES)
+    forces = (press_particles(cells // 2, depth, phase=phase, **options) for phase in PHASES)
     return [force / elements(depth) - 1 for force in forces]
 
 

@@ -158,8 +158,39 @@ def fill_solid(
     return Solid(first, voxel, surface.fill(away < 0), surface)
 
 
+def fill_box(edges: Sequence[float], dx: float, *, centred: bool = False) -> Solid:
+    """Return a box on voxels of half a cell; its lowest corner is the origin.
+
+    Args:
+        edges: Edges of the box [3], multiples of dx / 2 [m].
+        dx: Edge length of a cell [m].
+        centred: True to place the box's centre at the origin.
+    """
+    counts = [round(2 * edge / dx) for edge in edges]
+    first = [-(count // 2) if centred else 0 for count in counts]
+    return Solid(np.array(first), dx / 2, np.ones(counts, np.float32))
+
+
+def fill_part_of_ball(radius: float, dx: float, cuts: int) -> Solid:
+    """Return the part of a ball around the origin with positive coordinates on the first axes.
+
+    Args:
+        radius: Radius of the ball [m].
+        dx: Edge length of a cell; a voxel is half as long [m].
+        cuts: Number of these axes.
+    """
+    low = [0.0 if axis < cuts else -radius for axis in range(3)]
+    return fill_solid(lambda x: np.linalg.norm(x, axis=-1) - radius, low, (radius,) * 3, dx / 2)
+
+
 def make_lattice_solver(
-    solid: Solid, dx: float, material: Material, *, v: Sequence[float] | None = None, **options: Any
+    solid: Solid,
+    dx: float,
+    material: Material,
+    *,
+    v: Sequence[float] = (0.0, 0.0, 0.0),
+    spin: Sequence[float] = (0.0, 0.0, 0.0),
+    **options: Any,
 ) -> LatticeSolver:
     """Create a solver for an undeformed solid on its lattice.
 
@@ -167,17 +198,27 @@ def make_lattice_solver(
         solid: The body.
         dx: Edge length of a cell [m].
         material: Material of the body.
-        v: Initial velocity [3], m/s; None: at rest.
+        v: Initial velocity [3], m/s.
+        spin: Initial angular velocity about the mean of the points [3], rad/s.
         **options: Options of `Model.of` and of `LatticeSolver`.
     """
     of_model = {name: options.pop(name) for name in MODEL_OPTIONS & options.keys()}
     points = lattice_of(solid, density=material.density, dx=dx)
     x = points.x.astype(np.float64)
     model = Model.of(x, points.volume, [material], dx=dx, **of_model)
-    motion = None if v is None else np.tile(np.asarray(v, float), (len(x), 1))
+    motion = turning(x, spin)
+    motion["v"] += np.asarray(v, float)
     assert points.surface is not None
     options = {"copies": points.copies, **options}
-    return LatticeSolver(model, points.surface, State.of(model, motion), **options)
+    return LatticeSolver(model, points.surface, State.of(model, **motion), **options)
+
+
+def measure_wall_force(solver: LatticeSolver, start: float, end: float) -> Array:
+    """Return the mean force on a body from its first wall, between two times [s], [3], N."""
+    solver.advance(start)
+    before = host(solver.walls.sums)[0, :3]
+    solver.advance(end)
+    return (host(solver.walls.sums)[0, :3] - before) / (end - start)
 
 
 UP = (0.0, 0.0, 1.0)

@@ -20,7 +20,13 @@ from phy124.mpm.tracks import Keyframes
 from phy124.particles.solid import Solid
 from phy124.schema.region import Region
 from phy124.studies.validation.bodies import make_lattice_solver, make_solver, plane, sheet
-from phy124.studies.validation.experiments.experiment import Experiment, Quantity, Values, find_root
+from phy124.studies.validation.experiments.experiment import (
+    Experiment,
+    Quantity,
+    Values,
+    find_root,
+    repeat_with_mpm,
+)
 
 LENGTH, THICKNESS = 1.2, 0.1
 """Size of the beam [m]. The beam is one particle wide, because with nu = 0, nothing varies across
@@ -133,7 +139,7 @@ def first_frequency() -> float:
     return 1.8751**2 * math.sqrt(STIFFNESS / (DENSITY * THICKNESS)) / LENGTH**2
 
 
-def measure_drops(
+def measure_particle_drops(
     cells: int,
     loads: Sequence[float],
     bending: Bending,
@@ -174,7 +180,7 @@ def measure_drops(
     return _load(solver, loads, lambda: np.mean((rest - solver.state.x.numpy())[tip, 2]))
 
 
-def measure_lattice_drops(
+def measure_drops(
     cells: int,
     loads: Sequence[float],
     bending: Bending,
@@ -260,10 +266,10 @@ def _settle(solver: Solver | LatticeSolver, until: float) -> None:
 
 _tip_exact = partial(make_band, TIP_LOADS, elastica_drop, "PL²/EI")
 _weight_exact = partial(make_band, OWN_LOADS, heavy_elastica_drop, "ρgAL³/EI")
-_tip = partial(measure_drops, loads=TIP_LOADS, bending=load_tip)
+_particle_tip = partial(measure_particle_drops, loads=TIP_LOADS, bending=load_tip)
+_particle_weight = partial(measure_particle_drops, loads=OWN_LOADS, bending=load_all)
+_tip = partial(measure_drops, loads=TIP_LOADS, bending=load_tip, beyond=0.5)
 _weight = partial(measure_drops, loads=OWN_LOADS, bending=load_all)
-_lattice_tip = partial(measure_lattice_drops, loads=TIP_LOADS, bending=load_tip, beyond=0.5)
-_lattice_weight = partial(measure_lattice_drops, loads=OWN_LOADS, bending=load_all)
 
 ELASTICA = Experiment(
     name="elastica",
@@ -272,9 +278,9 @@ ELASTICA = Experiment(
     measured="The experiment measures the tip deflection at rest, divided by the length, for "
     "seven weights P. The linear theory of small bending overestimates the deflection by 11 % at "
     "PL²/EI = 1, and by 311 % at PL²/EI = 10.",
-    band="from the deflection without shear to the deflection with twice this beam's shear; the "
-    "beam is 12 times as long as thick",
-    published=_tip_exact,
+    band="from the deflection without shear to the deflection with twice this beam's shear and "
+    "the stretch of a hanging beam; the beam is 12 times as long as thick",
+    published=partial(_tip_exact, 1.0),
     run=_tip,
     control=partial(_tip, stiffer=1.2),
     mistake="E is 20 % too large",
@@ -282,35 +288,25 @@ ELASTICA = Experiment(
     across="the thickness",
     axis="P L² / E I",
     unit="drop / length",
-    seconds=110,
-    reason=TOO_SOFT,
+    seconds=50,
+)
+MPM_ELASTICA = repeat_with_mpm(
+    ELASTICA, _particle_tip, partial(_particle_tip, stiffer=1.2), seconds=110, reason=TOO_SOFT
 )
 SPLINE_ELASTICA = replace(
-    ELASTICA,
+    MPM_ELASTICA,
     name="elastica-spline",
     title="Elastica with strain from the gradients of the weights",
-    measured='The experiment repeats `elastica` with accuracy.gradient = "spline" instead of '
+    measured='The experiment repeats `elastica-mpm` with accuracy.gradient = "spline" instead of '
     '"affine".',
-    run=partial(_tip, gradient="spline"),
-    control=partial(_tip, stiffer=1.2, gradient="spline"),
+    run=partial(_particle_tip, gradient="spline"),
+    control=partial(_particle_tip, stiffer=1.2, gradient="spline"),
     seconds=150,
     reason="Few cells make the beam slightly too stiff, and few particles make it slightly too "
     "soft. With 8 particles per cell and axis, the deflection at the smallest load is 1.0, 0.7 "
     "and 0.5 % too small on 2, 3 and 4 cells, so the error converges. With 4 particles per cell "
     "and axis, the error from few cells and the error from few particles cancel. The "
     "extrapolation cannot detect that these errors cancel.",
-)
-LATTICE_ELASTICA = replace(
-    ELASTICA,
-    name="elastica-lattice",
-    title="Elastica on the lattice solver",
-    measured='The experiment repeats `elastica` with accuracy.solver = "lattice".',
-    published=partial(_tip_exact, 1.0),
-    band="as for `elastica`, but the upper end also includes the stretch of a hanging beam",
-    run=_lattice_tip,
-    control=partial(_lattice_tip, stiffer=1.2),
-    seconds=50,
-    reason="",
 )
 HEAVY_ELASTICA = replace(
     ELASTICA,
@@ -320,23 +316,18 @@ HEAVY_ELASTICA = replace(
     "ρgAL³/EI, integrated numerically",
     measured="The experiment measures the tip deflection at rest, divided by the length, for "
     "three strengths of gravity.",
-    published=_weight_exact,
+    published=partial(_weight_exact, 0.5),
     run=_weight,
     control=partial(_weight, stiffer=1.4),
     mistake="E is 40 % too large",
     axis="ρ g A L³ / E I",
-    seconds=50,
-)
-LATTICE_HEAVY_ELASTICA = replace(
-    HEAVY_ELASTICA,
-    name="heavy-elastica-lattice",
-    title="Heavy elastica on the lattice solver",
-    measured='The experiment repeats `heavy-elastica` with accuracy.solver = "lattice".',
-    published=partial(_weight_exact, 0.5),
-    band="as for `elastica`, but the upper end also includes the stretch of a hanging beam",
-    run=_lattice_weight,
-    control=partial(_lattice_weight, stiffer=1.4),
     quick=True,
     seconds=10,
-    reason="",
+)
+MPM_HEAVY_ELASTICA = repeat_with_mpm(
+    replace(HEAVY_ELASTICA, quick=False),
+    _particle_weight,
+    partial(_particle_weight, stiffer=1.4),
+    seconds=50,
+    reason=TOO_SOFT,
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -74,6 +74,27 @@ class Experiment:
     """Approximate duration [s]; the longest experiments start first."""
     reason: str = ""
     """Known reason for values outside their bands."""
+
+
+def repeat_with_mpm(
+    experiment: Experiment,
+    run: Callable[[int], Values],
+    control: Callable[[int], Values],
+    *,
+    seconds: float,
+    reason: str = "",
+) -> Experiment:
+    """Return an experiment that repeats another one with MPM instead of the lattice solver."""
+    return replace(
+        experiment,
+        name=f"{experiment.name}-mpm",
+        title=f"{experiment.title.partition(':')[0]} with MPM",
+        measured=f'The experiment repeats `{experiment.name}` with accuracy.solver = "mpm".',
+        run=run,
+        control=control,
+        seconds=seconds,
+        reason=reason,
+    )
 
 
 def find_root(function: Callable[[float], float], low: float, high: float) -> float:

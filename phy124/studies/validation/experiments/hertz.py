@@ -1,15 +1,28 @@
 """Experiment: the force on a ball between two plates, and the contact time of a bouncing ball."""
 
 import math
+from collections.abc import Sequence
+from functools import partial
 
 from phy124.boundaries import HalfSpace
 from phy124.boundaries.motion import Path
 from phy124.materials import NeoHookean
 from phy124.mpm import Model
-from phy124.studies.validation.bodies import part_of_ball
+from phy124.studies.validation.bodies import (
+    fill_part_of_ball,
+    make_lattice_solver,
+    measure_wall_force,
+    mirrors,
+    part_of_ball,
+)
 from phy124.studies.validation.experiments import restitution
 from phy124.studies.validation.experiments.elastic_ball import Law, fit_law
-from phy124.studies.validation.experiments.experiment import Experiment, Quantity, Values
+from phy124.studies.validation.experiments.experiment import (
+    Experiment,
+    Quantity,
+    Values,
+    repeat_with_mpm,
+)
 from phy124.studies.validation.experiments.pressed_block import hold_plates
 
 RADIUS, E, NU = 0.5, 1e5, 0.3
@@ -29,7 +42,27 @@ def hertz(depth: float) -> float:
     return 4 / 3 * E / (1 - NU**2) * math.sqrt(RADIUS) * depth**1.5
 
 
-def press(
+def press(cells: int, depth: float, *, stiffer: float = 1.0) -> float:
+    """Return the mean force of a plate on the ball [N]. An eighth of the ball is simulated.
+
+    Args:
+        cells: Cells across the radius.
+        depth: Indentation [m].
+        stiffer: Factor on E, for the control.
+    """
+    dx = RADIUS / cells
+    solver = make_lattice_solver(
+        fill_part_of_ball(RADIUS, dx, 3),
+        dx,
+        _rubber(stiffer),
+        boundaries=[_plate(depth), *mirrors(0, 1, 2)],
+        threads=1,
+    )
+    force = measure_wall_force(solver, MOVE + HOLD / 2, MOVE + HOLD)
+    return 4 * abs(float(force[2]))
+
+
+def press_particles(
     cells: int,
     depth: float,
     *,
@@ -38,7 +71,7 @@ def press(
     per_axis: int = 2,
     phase: float = 0.5,
 ) -> float:
-    """Return the mean force of a plate on the ball [N]. An eighth of the ball is simulated.
+    """Return the mean force of a plate on the ball with MPM [N].
 
     Args:
         cells: Cells across the radius.
@@ -50,13 +83,19 @@ def press(
     """
     dx = RADIUS / cells
     x, volume = part_of_ball(RADIUS, dx / per_axis, 3)
-    motion = Path(times=(0.0, MOVE), points=((0, 0, 0), (0, 0, -depth)))
-    plate = HalfSpace(point=(0, 0, RADIUS), normal=(0, 0, -1.0), friction=0, motion=motion)
-    rubber = NeoHookean(E=stiffer * E, nu=NU, damping=30.0)
     low = (-0.75 * dx, -0.75 * dx, (RADIUS - depth) % dx - (1 + phase) * dx)
-    model = Model.of(x, volume, [rubber], dx=dx, origin=low, precision=precision)
-    _, force = hold_plates(model, [plate], MOVE, HOLD)
+    model = Model.of(x, volume, [_rubber(stiffer)], dx=dx, origin=low, precision=precision)
+    _, force = hold_plates(model, [_plate(depth)], MOVE, HOLD)
     return 4 * force
+
+
+def _plate(depth: float) -> HalfSpace:
+    motion = Path(times=(0.0, MOVE), points=((0, 0, 0), (0, 0, -depth)))
+    return HalfSpace(point=(0, 0, RADIUS), normal=(0, 0, -1.0), friction=0, motion=motion)
+
+
+def _rubber(stiffer: float) -> NeoHookean:
+    return NeoHookean(E=stiffer * E, nu=NU, damping=30.0)
 
 
 def publish() -> tuple[Quantity, ...]:
@@ -86,15 +125,29 @@ def turning_time(of: Law) -> float:
 
 def measure(cells: int, *, stiffer: float = 1.0) -> Values:
     """Measure the forces and the contact time, relative to Hertz's theory; `stiffer` scales E."""
-    time = (
-        restitution.bounce(cells, 0.0, restitution.SHALLOW, stiffer=stiffer).turning
-        / restitution.solve_theory(0.0, restitution.SHALLOW, Law(0.0)).turning
-    )
+    forces = [press(cells, depth, stiffer=stiffer) for depth in DEPTHS]
+    bounce = restitution.bounce(cells, 0.0, restitution.SHALLOW, stiffer=stiffer)
+    return _over_theory(forces, bounce)
+
+
+def measure_particles(cells: int, *, stiffer: float = 1.0) -> Values:
+    """Measure the values of `measure` with MPM.
+
+    Each force is the mean of two runs, with different positions of the plate between grid nodes.
+    """
     forces = [
-        sum(press(cells, depth, stiffer=stiffer, phase=place) for place in PLACES) / len(PLACES)
+        sum(press_particles(cells, depth, stiffer=stiffer, phase=place) for place in PLACES)
+        / len(PLACES)
         for depth in DEPTHS
     ]
-    return (*(force / hertz(depth) for force, depth in zip(forces, DEPTHS, strict=True)), time)
+    bounce = restitution.bounce_particles(cells, 0.0, restitution.SHALLOW, stiffer=stiffer)
+    return _over_theory(forces, bounce)
+
+
+def _over_theory(forces: Sequence[float], bounce: restitution.Bounce) -> Values:
+    theory = restitution.solve_theory(0.0, restitution.SHALLOW, Law(0.0))
+    ratios = [force / hertz(depth) for force, depth in zip(forces, DEPTHS, strict=True)]
+    return (*ratios, bounce.turning / theory.turning)
 
 
 EXPERIMENT = Experiment(
@@ -102,18 +155,20 @@ EXPERIMENT = Experiment(
     title="Hertz: force on a pressed ball, and contact time of a bouncing ball",
     source="finite elements of the whole neo-Hookean ball, which approach Hertz's law (1882) for "
     "small depths (`phy124/studies/validation/experiments/elastic_ball.py`)",
-    measured="The force on the plate at two depths is computed from the plate's impulses. Each "
-    "force is the mean of two runs, with different positions of the plate between two grid nodes. "
+    measured="The force on the plate at two depths is computed from the plate's impulses. "
     "The contact time of a bouncing ball is the time in which its velocity changes from half the "
     "initial speed, downwards, to half the initial speed, upwards. All values are relative to "
     "Hertz's theory, which treats both bodies as half-spaces with small strain.",
     band="forces: ±5 %; time: ±1 %",
     published=publish,
     run=measure,
-    control=lambda cells: measure(cells, stiffer=1.3),
+    control=partial(measure, stiffer=1.3),
     mistake="E is 30 % too large",
     grids=(12, 16, 22),
     across="the radius",
     unit="over Hertz's",
     seconds=45,
+)
+MPM = repeat_with_mpm(
+    EXPERIMENT, measure_particles, partial(measure_particles, stiffer=1.3), seconds=45
 )

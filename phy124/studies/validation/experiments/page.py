@@ -109,8 +109,9 @@ def _draw_rows(axes: Any, outcome: Outcome) -> None:
 PathLike = str | os.PathLike[str]
 HEAD = """# Comparison with published experiments
 
-`phy124 validate` repeats published experiments and theories with the solver that makes the clips
-(`phy124/studies/validation/experiments/`), and `phy124 validate --docs` writes this page.
+`phy124 validate` repeats published experiments and theories with the solvers that make the clips
+(`phy124/studies/validation/experiments/`), and `phy124 validate --docs` writes this page. Elastic
+bodies are simulated on lattices; experiments whose names end in `-mpm` repeat them with MPM.
 `phy124 accuracy --verify` tests whether the equations are solved correctly
 ([accuracy](accuracy.md)). This page tests whether the equations describe real materials.
 

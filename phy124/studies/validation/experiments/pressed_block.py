@@ -1,17 +1,32 @@
 """Experiment: a block between smooth plates, to measure Poisson's ratio and three moduli."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 
 from phy124.boundaries import HalfSpace
 from phy124.boundaries.motion import Path
+from phy124.lattice.solver import LatticeSolver
 from phy124.materials import NeoHookean
 from phy124.monitor.wrenches import Wrenches
 from phy124.mpm import Model, Solver
-from phy124.studies.validation.bodies import host, lattice, mirrors
-from phy124.studies.validation.experiments.experiment import Experiment, Quantity, Values, find_root
+from phy124.studies.validation.bodies import (
+    fill_box,
+    host,
+    lattice,
+    make_lattice_solver,
+    measure_wall_force,
+    mirrors,
+)
+from phy124.studies.validation.experiments.experiment import (
+    Experiment,
+    Quantity,
+    Values,
+    find_root,
+    repeat_with_mpm,
+)
 
 E, NU, SIZE = 1e5, 0.3, 1.0
 """Young's modulus [Pa], Poisson's ratio and edge of the block [m]; an eighth is simulated."""
@@ -46,13 +61,6 @@ def publish() -> tuple[Quantity, ...]:
     )
 
 
-def measure(cells: int, nu: float) -> Values:
-    """Measure the values of `publish`."""
-    free, ratio = press(cells, 1, 0, nu)
-    confined, bulk = press(cells, 1, 2, nu)[0], press(cells, 3, 0, nu)[0]
-    return ratio, free / E, confined / E, bulk / E
-
-
 def press(cells: int, moving: int, fixed: int, nu: float) -> tuple[float, float]:
     """Simulate the block, and measure its stiffness and lateral strain.
 
@@ -66,22 +74,47 @@ def press(cells: int, moving: int, fixed: int, nu: float) -> tuple[float, float]
         The axial stress divided by the axial strain [Pa], and the negative ratio of the lateral
         strain to the axial strain.
     """
-    half, dx = SIZE / 2, SIZE / 2 / cells
+    dx = SIZE / 2 / cells
+    solver = make_lattice_solver(
+        fill_box((SIZE / 2,) * 3, dx),
+        dx,
+        NeoHookean(E=E, nu=nu, damping=200.0),
+        boundaries=[*_plates(moving, fixed), *mirrors(0, 1, 2)],
+        threads=1,
+    )
+    force = measure_wall_force(solver, PRESS + HOLD / 2, PRESS + HOLD)
+    return _stiffness(solver, abs(float(force[2])))
+
+
+def press_particles(cells: int, moving: int, fixed: int, nu: float) -> tuple[float, float]:
+    """Measure the values of `press` with MPM."""
+    dx = SIZE / 2 / cells
     x = lattice((2 * cells,) * 3, dx / 2)
-    plates = [_plate(axis, moves=n < moving) for n, axis in enumerate((2, 1, 0)[: moving + fixed])]
     volume, rubber = np.full(len(x), (dx / 2) ** 3), NeoHookean(E=E, nu=nu, damping=200.0)
     model = Model.of(x, volume, [rubber], dx=dx, origin=(-0.75 * dx,) * 3)
-    solver, force = hold_plates(model, plates, PRESS, HOLD)
-    end = host(solver.state.x)
-    slopes = [1 - np.polyfit(model.rest[:, axis], end[:, axis], 1)[0] for axis in range(3)]
-    area = half**2 * (1 - slopes[0]) * (1 - slopes[1])
+    return _stiffness(*hold_plates(model, _plates(moving, fixed), PRESS, HOLD))
+
+
+def _stiffness(solver: Solver | LatticeSolver, force: float) -> tuple[float, float]:
+    rest, end = solver.model.rest, host(solver.state.x)
+    slopes = [1 - np.polyfit(rest[:, axis], end[:, axis], 1)[0] for axis in range(3)]
+    area = (SIZE / 2) ** 2 * (1 - slopes[0]) * (1 - slopes[1])
     return float(force / area / slopes[2]), float(-slopes[0] / slopes[2])
+
+
+def measure(
+    cells: int, *, nu: float = NU, simulate: Callable[..., tuple[float, float]] = press
+) -> Values:
+    """Measure the values of `publish`."""
+    free, ratio = simulate(cells, 1, 0, nu)
+    confined, bulk = simulate(cells, 1, 2, nu)[0], simulate(cells, 3, 0, nu)[0]
+    return ratio, free / E, confined / E, bulk / E
 
 
 def hold_plates(
     model: Model, plates: Sequence[HalfSpace], moving: float, resting: float
 ) -> tuple[Solver, float]:
-    """Simulate a body between plates and three symmetry planes through the origin.
+    """Simulate a body with MPM between plates and three symmetry planes through the origin.
 
     Args:
         model: The body.
@@ -102,6 +135,10 @@ def hold_plates(
     return solver, abs(float(wrenches.contacts(solver, 2 / resting)["half_space"].force[2]))
 
 
+def _plates(moving: int, fixed: int) -> list[HalfSpace]:
+    return [_plate(axis, moves=n < moving) for n, axis in enumerate((2, 1, 0)[: moving + fixed])]
+
+
 def _plate(axis: int, *, moves: bool) -> HalfSpace:
     normal = -np.eye(3)[axis]
     low = tuple((STRAIN * SIZE / 2 * normal).tolist())
@@ -120,11 +157,17 @@ EXPERIMENT = Experiment(
     "from the impulses of a plate.",
     band="±0.5 %",
     published=publish,
-    run=lambda cells: measure(cells, NU),
-    control=lambda cells: measure(cells, NU + 0.03),
+    run=measure,
+    control=partial(measure, nu=NU + 0.03),
     mistake=f"Poisson's ratio is {NU + 0.03:g} instead of {NU:g}",
     grids=(4, 6, 8),
     across="half the block",
     quick=True,
+    seconds=10,
+)
+MPM = repeat_with_mpm(
+    EXPERIMENT,
+    partial(measure, simulate=press_particles),
+    partial(measure, nu=NU + 0.03, simulate=press_particles),
     seconds=10,
 )

@@ -1,20 +1,23 @@
 """Experiment: the speed of a viscoelastic ball after a slow bounce on a floor."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from phy124.boundaries import Ground
+from phy124.boundaries import Ground, HalfSpace
 from phy124.lattice.solver import LatticeSolver
 from phy124.materials import NeoHookean
 from phy124.mpm import Solver
 from phy124.studies.validation.accuracy.problems import FLOOR_NODE
 from phy124.studies.validation.bodies import (
     UP,
+    fill_part_of_ball,
     find_zeros,
+    make_lattice_solver,
     make_solver,
     mean_along,
     mirrors,
@@ -22,7 +25,7 @@ from phy124.studies.validation.bodies import (
     record,
 )
 from phy124.studies.validation.experiments.elastic_ball import Law, fit_law
-from phy124.studies.validation.experiments.experiment import Experiment, Quantity
+from phy124.studies.validation.experiments.experiment import Experiment, Quantity, repeat_with_mpm
 
 RADIUS, DENSITY, E = 0.5, 1000.0, 1e6
 """Radius [m], density [kg/m^3] and Young's modulus [Pa] of the ball.
@@ -101,22 +104,40 @@ def bounce(cells: int, loss: float, depth: float, *, stiffer: float = 1.0) -> Bo
         depth: Maximum depth without loss, in radii.
         stiffer: Factor on E, for a control.
     """
-    dx, v = RADIUS / cells, speed(depth)
+    dx = RADIUS / cells
+    floor = HalfSpace(point=(0, 0, -RADIUS - 0.5 * dx), normal=UP, friction=0.0)
+    solver = make_lattice_solver(
+        fill_part_of_ball(RADIUS, dx, 2),
+        dx,
+        _rubber(loss, depth, stiffer),
+        v=(0, 0, -speed(depth)),
+        boundaries=[floor, *mirrors(0, 1)],
+        threads=1,
+    )
+    return _observe(solver, depth)
+
+
+def bounce_particles(cells: int, loss: float, depth: float, *, stiffer: float = 1.0) -> Bounce:
+    """Simulate the bounce of `bounce` with MPM."""
+    dx = RADIUS / cells
     x, volume = part_of_ball(RADIUS, dx / 2, 2)
     x += [0, 0, RADIUS + 0.5 * dx]
-    damping = loss * duration(depth) * E / 2
-    rubber = NeoHookean(E=stiffer * E, nu=0.0, density=DENSITY, damping=damping)
+    rubber = _rubber(loss, depth, stiffer)
     world = {
         "origin": (-FLOOR_NODE * dx,) * 3,
         "boundaries": [Ground(friction=0.0), *mirrors(0, 1)],
     }
-    falling = np.tile([0, 0, -v], (len(x), 1))
+    falling = np.tile([0, 0, -speed(depth)], (len(x), 1))
     solver = make_solver(x, volume, [rubber], v=falling, dx=dx, threads=1, **world)
-    return observe(solver, depth)
+    return _observe(solver, depth)
 
 
-def observe(solver: Solver | LatticeSolver, depth: float) -> Bounce:
-    """Simulate a bounce; `depth` is the maximum depth in radii."""
+def _rubber(loss: float, depth: float, stiffer: float) -> NeoHookean:
+    damping = loss * duration(depth) * E / 2
+    return NeoHookean(E=stiffer * E, nu=0.0, density=DENSITY, damping=damping)
+
+
+def _observe(solver: Solver | LatticeSolver, depth: float) -> Bounce:
     times = np.linspace(0, FLIGHT * duration(depth), SAMPLES + 1)[1:]
     speeds = record(solver, times, partial(mean_along, solver, "v", UP))
     return Bounce(times, speeds / speed(depth))
@@ -135,6 +156,13 @@ def publish() -> tuple[Quantity, ...]:
     )
 
 
+def measure(
+    cells: int, *, factor: float = 1.0, simulate: Callable[..., Bounce] = bounce
+) -> tuple[float, ...]:
+    """Measure the coefficients of restitution; `factor` scales the damping."""
+    return tuple(simulate(cells, factor * loss, DEEP).restitution for loss in LOSSES)
+
+
 EXPERIMENT = Experiment(
     name="restitution",
     title="Restitution of a damped ball",
@@ -147,12 +175,18 @@ EXPERIMENT = Experiment(
     "radius. t is Hertz's contact time.",
     band="±2 %, since the theory neglects waves in the ball",
     published=publish,
-    run=lambda cells: tuple(bounce(cells, loss, DEEP).restitution for loss in LOSSES),
-    control=lambda cells: tuple(bounce(cells, 2 * loss, DEEP).restitution for loss in LOSSES),
+    run=measure,
+    control=partial(measure, factor=2.0),
     mistake="twice the damping",
     grids=(8, 11, 14),
     across="the radius",
     axis="η / μ, in times of contact",
     unit="speed after / before",
+    seconds=60,
+)
+MPM = repeat_with_mpm(
+    EXPERIMENT,
+    partial(measure, simulate=bounce_particles),
+    partial(measure, factor=2.0, simulate=bounce_particles),
     seconds=60,
 )
