@@ -145,7 +145,7 @@ def _summary(done: Sequence[Outcome]) -> str:
 
 def _machine() -> str:
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else 0.0
-    busy = f" while other programs were running (load {load:.0f})" if load > 1.5 * cores() else ""
+    busy = f", while other programs were running (load {load:.0f})" if load > 1.5 * cores() else ""
     return (
         f"Seconds are CPU time, summed over all runs of an experiment, on {cores()} cores "
         f"of {_processor()}, Python {platform.python_version()}{busy}.\n"
