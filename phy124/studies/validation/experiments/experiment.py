@@ -84,7 +84,15 @@ def repeat_with_mpm(
     seconds: float,
     reason: str = "",
 ) -> Experiment:
-    """Return an experiment that repeats another one with MPM instead of the lattice solver."""
+    """Return an experiment that repeats another one with MPM instead of the lattice solver.
+
+    Args:
+        experiment: The experiment on lattices.
+        run: Simulates with MPM.
+        control: Simulates with MPM and the deliberate mistake.
+        seconds: Approximate duration [s].
+        reason: Known reason for values outside their bands.
+    """
     return replace(
         experiment,
         name=f"{experiment.name}-mpm",
