@@ -81,7 +81,14 @@ def slide(cells: int, slope: float, friction: float, *, across: bool) -> float:
 
 
 def slide_particles(cells: int, slope: float, friction: float, *, across: bool) -> float:
-    """Measure the acceleration of `slide` with MPM."""
+    """Measure the acceleration of `slide` with MPM.
+
+    Args:
+        cells: Cells across the block.
+        slope: Tangent of the incline's angle.
+        friction: Coefficient of friction.
+        across: True to tilt the wall against the grid, False to tilt gravity instead.
+    """
     dx, incline = SIZE / cells, _tilt(slope, across=across)
     x = lattice((2 * cells,) * 3, dx / 2, (-SIZE / 2, -SIZE / 2, 0.0))
     if across:

@@ -87,7 +87,14 @@ def press(cells: int, moving: int, fixed: int, nu: float) -> tuple[float, float]
 
 
 def press_particles(cells: int, moving: int, fixed: int, nu: float) -> tuple[float, float]:
-    """Measure the values of `press` with MPM."""
+    """Measure the values of `press` with MPM.
+
+    Args:
+        cells: Cells across half the block.
+        moving: Number of axes with moving plates, in the order z, y, x.
+        fixed: Number of axes with fixed plates, which are the next axes in this order.
+        nu: Poisson's ratio.
+    """
     dx = SIZE / 2 / cells
     x = lattice((2 * cells,) * 3, dx / 2)
     volume, rubber = np.full(len(x), (dx / 2) ** 3), NeoHookean(E=E, nu=nu, damping=200.0)

@@ -118,7 +118,14 @@ def bounce(cells: int, loss: float, depth: float, *, stiffer: float = 1.0) -> Bo
 
 
 def bounce_particles(cells: int, loss: float, depth: float, *, stiffer: float = 1.0) -> Bounce:
-    """Simulate the bounce of `bounce` with MPM."""
+    """Simulate the bounce of `bounce` with MPM.
+
+    Args:
+        cells: Cells across the radius.
+        loss: damping / mu, in units of Hertz's contact time.
+        depth: Maximum depth without loss, in radii.
+        stiffer: Factor on E, for a control.
+    """
     dx = RADIUS / cells
     x, volume = part_of_ball(RADIUS, dx / 2, 2)
     x += [0, 0, RADIUS + 0.5 * dx]
