@@ -79,6 +79,7 @@ def as_dreamgaussian(gaussians: Gaussians) -> Gaussians:
     return Splats(parameters).gaussians()
 
 
+@pytest.mark.usefixtures("coarse_solids")
 def test_one_box_from_four_generators_falls_and_bounces_alike(tmp_path):
     """Equal mass and shape, but other Gaussians in number, size and place: within 3 %."""
     write_ply(tmp_path / "box.ply", box(9000, 0.02, 1))
@@ -89,7 +90,7 @@ def test_one_box_from_four_generators_falls_and_bounces_alike(tmp_path):
         "dreamgaussian": as_dreamgaussian(box(6000, 0.025, 3)),
     }
     fall = {"object.lift": 0.5, "material.E": 4e4, "time.frames": 12, "time.fps": 20.0}
-    scene = Scene.named("drop").replaced({"accuracy": "draft", **fall})
+    scene = Scene.named("drop").replaced({"accuracy": {"cells": 12}, **fall})
     paths = {name: centre_path(g, scene, 500.0) for name, g in described.items()}
     figures = {name: apart(path, paths["arrays"]) for name, path in paths.items()}
     lowest = paths["arrays"][:, 2].min()

@@ -128,6 +128,7 @@ def test_best_file_of_the_full_network_is_chosen(no_weights):
     assert u2net.weights_file() == no_weights / "u2net.onnx" and u2net.is_available()
 
 
+@pytest.mark.usefixtures("in_this_process")
 def test_auto_takes_alpha_then_full_then_small_network(no_weights, small):
     rgb = np.full((60, 80, 3), 255, np.uint8)
     rgb[15:45, 20:60] = 40, 90, 160
