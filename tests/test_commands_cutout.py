@@ -31,7 +31,7 @@ def dark(tmp_path) -> tuple[Path, Path]:
 
 def test_a_mask_says_where_the_object_is(dark, tmp_path, capsys):
     picture, mask = map(str, dark)
-    arguments = ["generate", picture, *FEW, "--mask", mask]
+    arguments = ["generate", picture, *FEW, "--shape", "round", "--mask", mask]
     assert main([*arguments, "--out", str(tmp_path / "o")]) == 0
     assert "cut out by the mask: 34.8% of the picture" in capsys.readouterr().out
     cut = np.asarray(Image.open(tmp_path / "o/cutout.png"))[..., 3]
@@ -66,7 +66,7 @@ def test_doubtful_cutout_is_reported_before_the_work(dark, tmp_path, capsys, mon
     inverted = Image.fromarray(255 - np.asarray(Image.open(mask)))
     inverted.save("inverted.png")
     for command in ("cutout", "generate"):
-        more = [*FEW, "--dry-run"] if command == "generate" else []
+        more = [*FEW, "--shape", "round", "--dry-run"] if command == "generate" else []
         assert main([command, str(picture), "--mask", "inverted.png", *more]) == 0
         output = capsys.readouterr().err
         assert "warning: The cut-out touches 4 edges of the picture" in output

@@ -23,6 +23,9 @@ TAGS = (
     0x010E, 0x010F, 0x0110, 0x011A, 0x011B, 0x0128, 0x0131, 0x0132, 0x013B, 0x013E, 0x0201, 0x0213,
     0x02BC, 0x8298, 0x8769, 0x8825, 0xA005, 0xC4A5,
 )  # fmt: skip
+TELLING = (0x011A, 0x0131, 0x0201, 0x8769, 0x8825)
+"""Of text, of a fraction, of a thumbnail, and of two further tables of tags."""
+EACH = [pytest.param(tag, marks=[pytest.mark.slow] * (tag not in TELLING)) for tag in TAGS]
 AVIF = pytest.mark.skipif(not features.check("avif"), reason="this Pillow does not read AVIF")
 
 
@@ -72,7 +75,7 @@ def rotated(*entries: Entry) -> bytes:
     return with_segment(JPEG, 0xE1, exif_of([upright(6), *entries]))
 
 
-@pytest.mark.parametrize("tag", TAGS)
+@pytest.mark.parametrize("tag", EACH)
 def test_odd_tags_leave_a_photograph_whole_and_upright(tag):
     expected = turned(6)
     for kind, count, fill in itertools.product(TYPES, (0, 1, 3), (b"\0", b"\xff", b"6")):
@@ -91,7 +94,7 @@ def test_odd_tags_matter_in_no_format(kind):
         assert size == ((48, 32) if kind == "AVIF" else (32, 48)), (tag, kind_of_tag)
 
 
-@pytest.mark.parametrize("tag", TAGS)
+@pytest.mark.parametrize("tag", EACH)
 def test_odd_tags_leave_a_mask_in_tiff_whole_and_upright(tag):
     grey = np.asarray(quarters())[..., 0]
     for kind, count, fill in itertools.product(TYPES, (0, 1, 3), (b"\0", b"\xff", b"6")):
@@ -100,7 +103,7 @@ def test_odd_tags_leave_a_mask_in_tiff_whole_and_upright(tag):
         np.testing.assert_array_equal(result[..., 0], turned(6)[..., 0], f"type {kind} x {count}")
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(
     st.lists(
         st.builds(
@@ -117,7 +120,7 @@ def test_no_exif_at_all_makes_a_photograph_unusable(entries):
     assert colours(rotated(*entries)).shape in ((48, 32, 3), (32, 48, 3))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(st.binary(max_size=80))
 def test_exif_of_any_bytes_is_passed_over(data):
     colours(with_segment(JPEG, 0xE1, b"Exif\0\0" + data))
@@ -257,7 +260,7 @@ def test_a_profile_of_which_a_part_is_missing_is_noted():
     assert result.notes and "colour profile" in result.notes[0]
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(
     st.sampled_from([photographs.display_p3(), photographs.grey_profile(2.2)]),
     st.lists(st.tuples(st.integers(0, 300), st.binary(min_size=1, max_size=4)), max_size=5),

@@ -4,11 +4,14 @@ import json
 import re
 from pathlib import Path
 
+import pytest
+
 from phy124.runtime.installation import packages
 
 ROOT = Path(__file__).parents[1]
 
 
+@pytest.mark.usefixtures("coarse_solids")
 def test_notebook_is_valid_and_its_cells_run(tmp_path, monkeypatch, capsys):
     notebook = json.loads((ROOT / "docs/phy124.ipynb").read_text("utf-8"))
     assert (notebook["nbformat"], notebook["nbformat_minor"]) == (4, 5)

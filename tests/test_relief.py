@@ -93,7 +93,7 @@ def psnr_of_front(renderer, gaussians, rgba, size):
     return -10 * np.log10(np.mean((renderer(gaussians, camera) - wanted) ** 2))
 
 
-@pytest.mark.parametrize("size", [256, 512])
+@pytest.mark.parametrize("size", [256, pytest.param(512, marks=pytest.mark.slow)])
 def test_front_shows_the_picture(renderer, a_face, size):
     assert psnr_of_front(renderer, a_face, np.asarray(face()), size) > 28
 

@@ -29,7 +29,15 @@ def seen(mask, light):
     return np.asarray(image(mask, light)) / 255
 
 
-@pytest.mark.parametrize(("turn", "taper"), [(20, 0), (0, 0.2), (25, 0.2), (0, 0)])
+@pytest.mark.parametrize(
+    ("turn", "taper"),
+    [
+        (25, 0.2),
+        (0, 0),
+        pytest.param(20, 0, marks=pytest.mark.slow),
+        pytest.param(0, 0.2, marks=pytest.mark.slow),
+    ],
+)
 def test_a_print_is_thin(turn, taper):
     """It shows a bright middle, as a round object does."""
     mask = box(turn, taper=taper)[2]

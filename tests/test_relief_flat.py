@@ -15,11 +15,15 @@ def renderer():
     return Renderer(device="cpu")
 
 
-def test_straight_edges_without_shading_make_a_slab():
+@pytest.fixture(scope="module")
+def cube():
+    return relief(picture((abs(X - 96) < 60) & (abs(Y - 96) < 60)), count=10_000)
+
+
+def test_straight_edges_without_shading_make_a_slab(cube):
     """A square is a cube, a page is thin; with shading the page is a column."""
-    square = (abs(X - 96) < 60) & (abs(Y - 96) < 60)
     page = (abs(X - 96) < 40) & (abs(Y - 96) < 80)
-    depth, width = extents(relief(picture(square), count=5000), -0.2, 0.2)
+    depth, width = extents(cube, -0.2, 0.2)
     assert depth == pytest.approx(width, rel=0.1)
     thin, width = extents(relief(picture(page), count=5000), -0.2, 0.2)
     round_, _ = extents(relief(shaded(page, (X - 96) / 40), count=5000), -0.2, 0.2)
@@ -82,12 +86,11 @@ def test_objects_on_feet_are_not_flat():
     assert not stands_on_feet(trousers & (abs(X - 96) < 66))
 
 
-def test_walls_of_slabs_have_no_holes():
+def test_walls_of_slabs_have_no_holes(cube):
     """The camera does not see the walls of a cube, but they have as many points as its front."""
-    gaussians = relief(picture((abs(X - 96) < 60) & (abs(Y - 96) < 60)), count=10_000)
-    normals = rotation_matrices(gaussians.quats)[:, :, 2]
-    reach = np.abs(gaussians.means).max(axis=0)
-    inner = (np.abs(gaussians.means) < 0.7 * reach).sum(axis=1) == 2
+    normals = rotation_matrices(cube.quats)[:, :, 2]
+    reach = np.abs(cube.means).max(axis=0)
+    inner = (np.abs(cube.means) < 0.7 * reach).sum(axis=1) == 2
     wall, front = abs(normals[:, 1]) > 0.95, normals[:, 0] > 0.95
-    scales = [np.median(gaussians.scales[inner & part, 0]) for part in (wall, front)]
+    scales = [np.median(cube.scales[inner & part, 0]) for part in (wall, front)]
     assert scales[0] < 1.25 * scales[1]

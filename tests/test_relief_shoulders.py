@@ -42,7 +42,7 @@ def test_other_objects_have_no_such_edge(mask):
     assert shoulder_of(mask) is None
 
 
-@pytest.mark.parametrize("mask", [PLANT, HIGH_POT])
+@pytest.mark.parametrize("mask", [PLANT, pytest.param(HIGH_POT, marks=pytest.mark.slow)])
 def test_a_pot_is_as_deep_at_its_edge_as_below_and_the_stalk_stays_thin(mask):
     made = relief(picture(mask), count=20_000, shape="round")
     edge = np.flatnonzero(mask[:, 50] | mask[:, 60])[0]

@@ -47,7 +47,7 @@ CHERRIES = (
 )
 
 
-@pytest.mark.parametrize("lean", [0, 8])
+@pytest.mark.parametrize("lean", [pytest.param(0, marks=pytest.mark.slow), 8])
 def test_a_butterfly_is_a_sheet_with_a_body(lean):
     """Its depth without this assumption is 0.33 of its width."""
     wings = find_wings(butterfly(lean))

@@ -27,7 +27,8 @@ def shell(command: str, **environment: str) -> subprocess.CompletedProcess[bytes
 
 
 @pytest.mark.parametrize(
-    ("program", "encoding"), [(PHY124, "ascii"), (PHY124, "cp1252"), (BRIDGE, "ascii")]
+    ("program", "encoding"),
+    [(PHY124, "ascii"), (PHY124, "cp1252"), pytest.param(BRIDGE, "ascii", marks=pytest.mark.slow)],
 )
 def test_help_is_written_in_any_encoding(program, encoding):
     run = shell(f"{program} --help", **FOREIGN, PYTHONIOENCODING=f"{encoding}:strict")
@@ -47,8 +48,9 @@ def test_quiet_is_quiet_in_any_encoding(tmp_path):
     ("command", "closed", "status"),
     [
         (f"{PHY124} --version", ">&-", 0),
-        (f"{PHY124} effects press", "2>&-", 0),
-        (f"{BRIDGE} info none", "<&- >&- 2>&-", 2),
+        (f"{PHY124} scenes press", "2>&-", 0),
+        (f"{PHY124} scenes none", "<&- >&- 2>&-", 2),
+        pytest.param(f"{BRIDGE} info none", "<&- >&- 2>&-", 2, marks=pytest.mark.slow),
     ],
 )
 def test_closed_streams_change_no_status(command, closed, status):
