@@ -342,14 +342,17 @@ def test_a_lid_that_meets_a_pool_does_not_stop_the_run():
 
 @pytest.mark.slow
 def test_a_stiff_body_that_turns_slowly_runs_through():
-    """F grows by less than its last digit; it trembles, wherever it is."""
+    """F grows by less than its last digit; it trembles, wherever it is.
+
+    At cfl = 0.1, the energy of the tremor would be that from which the user gets a note.
+    """
     scene = Scene.named("spin").replaced(
         {
             "object.size": 0.05,
             "object.lift": 2.0,
             "object.spin": [0, 0, 0.5],
             "material.E": 7e7,
-            "accuracy": {"cells": 8, "cfl": 0.1, "solver": "mpm"},
+            "accuracy": {"cells": 8, "cfl": 0.07, "solver": "mpm"},
             "time.frames": 3,
             "time.fps": 24.0,
             "binding": "lattice",
