@@ -18,12 +18,12 @@ from support.shapes import ball
 
 CPU_ONLY = ("_simd", "_serial", "barrier")
 LAWS = [
-    Sand(),
+    NeoHookean(),
     pytest.param(NeoHookean(damping=1.0), marks=pytest.mark.slow),
-    pytest.param(NeoHookean(), marks=pytest.mark.slow),
+    pytest.param(Sand(), marks=pytest.mark.slow),
     pytest.param(FixedCorotated(), marks=pytest.mark.slow),
 ]
-"""The first holds what the others compile, too, but for damped stress."""
+"""The first compiles in half the time of the others."""
 
 
 def ptx(kernel, folder) -> str:

@@ -49,7 +49,7 @@ def test_floor_carries_the_weight(offset):
     assert impulse[3] == pytest.approx(weight / 2, rel=0.015)  # acts at the tank's middle
 
 
-@pytest.mark.parametrize("tilt", [5, 20])
+@pytest.mark.parametrize("tilt", [pytest.param(5, marks=pytest.mark.slow), 20])
 def test_pile_slides_down_a_smooth_slope(tilt):
     """The centroid gains g sin(tilt) t, even if the pile has spread into thin layers."""
     angle, cells = np.radians(tilt), 32

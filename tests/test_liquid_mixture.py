@@ -43,7 +43,7 @@ def layers(below, above, walls=(TANK,), depth=1.0, **options):
     return two_liquids(x, x[:, 2] > 0.25, (below, above), walls=walls, **options)
 
 
-@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize("threads", [pytest.param(1, marks=pytest.mark.slow), 2])
 def test_oil_on_water_stays_flat_with_hydrostatic_pressure(threads):
     solver, number = layers(DENSITY, OIL, threads=threads)
     run(solver, 24)

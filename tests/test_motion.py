@@ -110,7 +110,15 @@ def test_export_to_frames_writes_every_value(saved, tmp_path):
         assert np.array_equal(getattr(whole, name), getattr(read, name))
 
 
-@pytest.mark.parametrize("name", ["plain", "free solid", "at rest", "torn"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "plain",
+        pytest.param("free solid", marks=pytest.mark.slow),
+        pytest.param("at rest", marks=pytest.mark.slow),
+        "torn",
+    ],
+)
 def test_run_without_held_frames_has_the_same_clip(tmp_path, every_frame, monkeypatch, name):
     scene = SCENE.replaced(WITH.get(name, TORN))
     pipeline.simulate(ball(300), scene, tmp_path / "held", films=False)

@@ -82,7 +82,10 @@ def nearest(points, others):
 SHAPES = {"ball": (ball, BALL), "box": (box, SIDES.prod()), "cloud": (cloud, BALL)}
 
 
-@pytest.mark.parametrize("make", [ball, box], ids=["ball", "box"])
+@pytest.mark.parametrize(
+    "make",
+    [pytest.param(ball, id="ball"), pytest.param(box, id="box", marks=pytest.mark.slow)],
+)
 def test_the_object_is_the_same_on_every_grid(make, rng):
     gaussians = make(20_000, rng)
     result = [make_particles(gaussians, density=1, spacing=1 / n) for n in (24, 33, 48, 80)]

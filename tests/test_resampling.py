@@ -29,7 +29,7 @@ def moments(solid, material):
 
 
 @pytest.mark.parametrize("name", ["ball", "bar"])
-@pytest.mark.parametrize("factor", [0.6, 1.7, 3.1])
+@pytest.mark.parametrize("factor", [0.6, pytest.param(1.7, marks=pytest.mark.slow), 3.1])
 def test_volume_centre_and_moments_stay_the_same(name, factor):
     solid = bodies()[name]
     same = solid._move_to(solid.voxel)
