@@ -6,6 +6,7 @@ from PIL import Image
 
 from phy124.errors import InputError
 from phy124.generators.extras import DepthMap, read_depth
+from phy124.pipeline import make_gaussians
 
 RAMP = np.arange(12 * 20).reshape(12, 20)
 
@@ -64,3 +65,14 @@ def test_only_for_generators_that_use_one(tmp_path):
         chosen.bind(flat, "lgm")
     assert DepthMap().bind(flat, "lgm") is flat
     np.testing.assert_array_equal(chosen.bind(deep, "relief")(0, seed=0, progress=0), -RAMP)
+
+
+def test_errors_about_a_depth_map_name_its_file(tmp_path):
+    picture = np.zeros((40, 60, 4), np.uint8)
+    picture[10:30, 10:40] = 255
+    Image.fromarray(picture).save(tmp_path / "object.png")
+    np.save(tmp_path / "wide.npy", np.ones((40, 90)))
+    np.save(tmp_path / "flat.npy", np.ones((40, 60)))
+    for name, why in (("wide", "It has 90 x 40 pixels"), ("flat", "All values")):
+        with pytest.raises(InputError, match=rf"depth = .*{name}\.npy: {why}"):
+            make_gaussians(tmp_path / "object.png", depth={"depth": tmp_path / f"{name}.npy"})

@@ -1,7 +1,8 @@
 """Turns pictures into static Gaussians, and declares all options of this step."""
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -191,10 +192,30 @@ def make_object(
             gaussians, scene = read.gaussians, read.scene
             about |= {"cleaning": read.cleaning, "notes": [*read.notes], **read.about}
         else:
-            gaussians = make(picture, seed=scene.seed, progress=progress)
+            with _errors_naming_files(depth, views):
+                gaussians = make(picture, seed=scene.seed, progress=progress)
             about["notes"] += note_few(make, len(gaussians), count)
             gaussians = thin(gaussians, count, seed=scene.seed)
     return StaticObject(gaussians, scene, crop_of(picture), cutout, about, effort)
+
+
+@contextmanager
+def _errors_naming_files(depth: DepthMap | None, views: OtherViews | None) -> Iterator[None]:
+    """Within this context, errors about a depth map or a further picture name its file.
+
+    Raises:
+        InputError: The original error, with the file as the value.
+    """
+    files: dict[str, object] = {} if views is None else {**views.pictures}
+    if depth is not None:
+        files["depth"] = depth.depth
+    try:
+        yield
+    except InputError as error:
+        if error.field not in files:
+            raise
+        file = files[error.field]
+        raise InputError(error.field, file, error.limit, error.remedy) from error
 
 
 def with_others(
