@@ -434,7 +434,8 @@ def test_a_moved_object_pushes_and_what_it_gives_is_known(tmp_path):
 
 
 def test_an_object_is_that_of_a_clip(tmp_path):
-    clip, path = random_clip(count=300), tmp_path / "fell.safetensors"
+    crop, path = (0.1, 0.2, 0.5, 0.8), tmp_path / "fell.safetensors"
+    clip = random_clip(count=300).with_report({"crop": crop})
     clip.save(path)
     write_ply(tmp_path / "first.ply", ball(200))
     first, waiting = tmp_path / "first.ply", {"name": "second", "place": [0, 2]}
@@ -445,6 +446,7 @@ def test_an_object_is_that_of_a_clip(tmp_path):
         second = made.gaussians.of_object(1)
         assert np.array_equal(second.means, clip.frame(0).gaussians.means)
         assert made.about["sources"]["second"] == {"source": path.name, "generator": "clip"}
+        assert made.scene.objects[0].crop == crop, "masks are painted on the clip's picture"
     replace(clip, object_id=np.repeat([0, 1], 150).astype(np.int32)).save(path)
     with pytest.raises(InputError, match=r"objects.0 \(second\).*clip of several objects"):
         pipeline.make_gaussians(

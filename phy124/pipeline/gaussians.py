@@ -262,7 +262,9 @@ def with_others(
             continue
         if Path(source).suffix == CLIP:
             with errors_prefixed_with(scene, index):
-                made[index] = thin(at_rest(source), count, seed=scene.seed)
+                rest, crop = at_rest(source)
+            made[index] = thin(rest, count, seed=scene.seed)
+            objects[index - 1] = body.model_copy(update={"crop": crop or body.crop})
             about[body.name] = {"source": Path(source).name, "generator": "clip"}
             continue
         maker = str(source) if is_file_of_gaussians(source) else body.generator or usual
@@ -311,14 +313,16 @@ def check_sources(scene: Scene, more: Sequence[PathLike]) -> None:
     raise InputError("image", more[waiting], limit, remedy)
 
 
-def at_rest(path: PathLike) -> Gaussians:
-    """Return the Gaussians of a clip's object in the first frame.
+def at_rest(path: PathLike) -> tuple[Gaussians, Crop | None]:
+    """Return the Gaussians of a clip's object in the first frame, and the object's position in its
+    picture, which clips of earlier versions lack.
 
     Raises:
         InputError: The file is not a clip, or the clip has several objects.
     """
-    gaussians = Clip.load(path).surface.frame(0).gaussians
+    clip = Clip.load(path)
+    gaussians, crop = clip.surface.frame(0).gaussians, clip.report.get("crop")
     if gaussians.object_id is not None:
         remedy = "Give the pictures or files of Gaussians from which its objects were made."
         raise InputError("file", path, "it is a clip of several objects.", remedy)
-    return gaussians
+    return gaussians, crop and tuple(crop)

@@ -64,7 +64,7 @@ class SceneObject(Object):
     """Parts made of other materials."""
     crop: tuple[_Fraction, _Fraction, _Fraction, _Fraction] = (0.0, 0.0, 1.0, 1.0)
     """Rectangle of the object (left, top, right, bottom) in the picture on which masks of the
-    object's parts were painted; determined automatically for an object with a picture.
+    object's parts were painted; determined automatically for an object from a picture or a clip.
     """
 
     @model_validator(mode="after")
