@@ -35,6 +35,12 @@ INERT = "default-src 'none'; style-src 'unsafe-inline'; sandbox"
 """Content security policy of all responses except the page. Browsers run no scripts in these
 responses.
 """
+SOCIAL = re.compile(rb'<meta\s+(?:property|name)="(?:og|twitter):[^>]*>\s*')
+"""Tags that describe the page to other sites, in which Gradio advertises Gradio."""
+ABOUT = b"""<meta name="description" content="One picture in, a moving 3D object out.">
+<meta property="og:title" content="phy124"><meta property="og:type" content="website">
+<meta property="og:description" content="One picture in, a moving 3D object out.">
+"""
 COOKIE = "phy124"
 NAME = re.compile(r"[A-Za-z0-9_-]{32}")
 NETWORK = 64
@@ -183,7 +189,9 @@ class _Answer:
     async def _send_page(self) -> None:
         assert self.page is not None
         nonce = secrets.token_urlsafe(16)
-        body = self.body.replace(b"<script", f'<script nonce="{nonce}"'.encode())
+        first, *rest = SOCIAL.split(self.body)
+        body = first + (ABOUT if rest else b"") + b"".join(rest)
+        body = body.replace(b"<script", f'<script nonce="{nonce}"'.encode())
         headers = MutableHeaders(scope=self.page)
         headers["content-length"] = str(len(body))
         headers["cache-control"] = "no-store"

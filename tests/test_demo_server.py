@@ -154,8 +154,9 @@ def test_the_page_names_no_other_machine(server):
     import re
 
     page = get(server.url)[1].decode()
-    hosts = set(re.findall(r'(?:src|href)="https?://([^/"]+)', page))
+    hosts = set(re.findall(r'(?:src|href|content)="https?://([^/"]+)', page))
     assert hosts <= {server.url.removeprefix("http://")}
+    assert page.count('property="og:title"') == 1 and '"og:title" content="phy124"' in page
 
 
 def test_api_takes_gaussians_with_an_up_axis(client, tmp_path):
