@@ -82,10 +82,14 @@ def on_job_end(studio: Studio) -> Handler:
             # The page was loaded during this run, which has no result; show the one before it.
             job = _run_to_show(visitor) or job
         # An earlier result must not change the buttons of a run in progress.
-        buttons = (gr.skip(), gr.skip()) if data_of(event).get("earlier") else idle_buttons()
-        if job is not None and isinstance(job.progress.result, Measured) and source and scene:
-            html = forecast_of(studio, Choice(name, source, scene, extras), opened=True)
+        earlier = data_of(event).get("earlier")
+        buttons = (gr.skip(), gr.skip()) if earlier else idle_buttons()
+        line, measured = gr.skip(), job is not None and isinstance(job.progress.result, Measured)
+        if source and scene and not earlier:
+            # The object's proportions, or the measured error, are now known.
+            html = forecast_of(studio, Choice(name, source, scene, extras), opened=measured)
             line = answer_change(change, html)
+        if measured:
             return line, gr.skip(), *buttons, *_with_report(studio, name, shown)
         if job is None and not _is_there(shown):
             return gr.skip(), None, *buttons, *NOT_SHOWN[:TAKEAWAY], *FORGOTTEN
@@ -94,7 +98,7 @@ def on_job_end(studio: Studio) -> Handler:
             # events.
             runs = {"runs": _earlier(studio, name, shown)}
             return gr.skip(), gr.skip(), *buttons, *NOT_SHOWN[:-1], runs
-        return gr.skip(), job.progress.result, *buttons, *results(studio, name, job)
+        return line, job.progress.result, *buttons, *results(studio, name, job)
 
     return finish
 

@@ -43,9 +43,12 @@ def test_from_picture_to_files(browser, server, tmp_path):
     visit.upload()
     page.wait_for_selector(".own img")
     visit.choose(frames=5)
+    until = "(text) => document.querySelector('#forecast').textContent.includes(text)"
+    page.wait_for_function(until, arg="Its error is known after the first run.")
     page.evaluate(WATCH)
     visit.generate()
     visit.finished()
+    page.wait_for_function(until, arg="Off by at most")
     seen = page.evaluate("globalThis.seen")
     assert max(part for part, _ in seen["lines"]) > 20
     assert any("to go" in text or "nearly there" in text for _, text in seen["lines"])
