@@ -184,6 +184,17 @@ def test_a_film_of_particles_in_rows_has_no_stripes():
     assert depth.std() < 0.12 * depth.mean()
 
 
+def test_a_film_of_scattered_particles_has_no_blotches():
+    step, rng = np.arange(CELL / 2, 1.5, CELL), np.random.default_rng(1)
+    x = np.stack(np.meshgrid(step, step, step[:3], indexing="ij"), axis=-1).reshape(-1, 3)
+    x[:, :2] += rng.uniform(-1, 1, (len(x), 2)) * CELL
+    floor = Planes(np.array([[0, 0, 1.0]]), np.zeros(1))
+    drawn = Liquid(x, 2 * CELL, 0.5, floor).shape(still(x), floor)
+    along = np.linspace(0.4, 1.1, 30)
+    depth = depths(drawn, np.stack(np.meshgrid(along, along), axis=-1).reshape(-1, 2))
+    assert depth.std() < 0.09 * depth.mean()
+
+
 def test_a_stretched_film_has_no_stripes():
     step = np.arange(CELL / 2, 1, CELL)
     x = np.stack(np.meshgrid(step, step, step[:8], indexing="ij"), axis=-1).reshape(-1, 3)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from phy124.gaussians import SH_C0, Gaussians
 from phy124.kernels.splat import discs, fields
-from phy124.kernels.splat.discs import BLUR, LEVEL
+from phy124.kernels.splat.discs import BLUR, FINE, LEVEL
 
 WHOLE = 0.945
 """The eight cells around a point and the filter spread the point on the grid. This is the standard
@@ -106,10 +106,13 @@ class Field:
                 shares = shares[0] * part[0], shares[1] * part[1]
         return shares[0], np.maximum(shares[1], LITTLE)
 
-    def blur(self, values: NDArray) -> NDArray[np.float32]:
-        """Smooth the values of the grid's cells with a Gaussian filter, and return them."""
+    def blur(self, values: NDArray, width: float = BLUR) -> NDArray[np.float32]:
+        """Smooth the values of the grid's cells with a Gaussian filter, and return them.
+
+        `width` is the standard deviation of the filter [cells].
+        """
         smooth: Any = scipy.ndimage.gaussian_filter(
-            values.reshape(self.size), BLUR, mode="constant", truncate=3
+            values.reshape(self.size), width, mode="constant", truncate=3
         )
         return smooth
 
@@ -239,7 +242,8 @@ class Liquid:
         field.launch(discs.find_surface, n, inputs, [shapes, *sums])
         rgb = np.clip(0.5 + SH_C0 * part.sh[:, 0], 0, 1)
         drawn = Surface(*(np.empty((n, k) if k > 1 else n, np.float32) for k in WIDTHS))
-        inputs = [per_cell, x, self._volumes, self._rows, rgb, shapes, *map(field.blur, sums)]
+        inputs = [per_cell, x, self._volumes, self._rows, rgb, shapes]
+        inputs += [field.blur(values, FINE) for values in sums]
         field.launch(discs.shape_gaussians, n, inputs, [*drawn])
         return drawn
 

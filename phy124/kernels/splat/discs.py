@@ -7,7 +7,7 @@
 import warp as wp
 
 from phy124.kernels.build import kernel
-from phy124.kernels.splat.fields import Grid, interpolate, nearest
+from phy124.kernels.splat.fields import Grid, distribute, interpolate, nearest
 
 HIDDEN = wp.constant(0)
 DISC = wp.constant(1)
@@ -19,6 +19,12 @@ FLECK = wp.constant(4)
 """Kind of a Gaussian that is drawn as a fleck of foam."""
 BLUR = wp.constant(0.85)
 """Standard deviation of the filter that smooths fields."""
+FINE = wp.constant(0.6)
+"""Standard deviation of the filter that smooths sums over discs. With a wider filter, opacities
+would not compensate for gaps and clusters of particles, and liquids would look blotchy.
+"""
+COUNTED = wp.constant(0.8)
+"""Fraction of a layer of discs that is counted by two samples, one cell apart along the normal."""
 LEVEL = wp.constant(0.45)
 """Filled fraction at the liquid's surface."""
 AHEAD = wp.constant(1.2)
@@ -216,7 +222,7 @@ def find_surface(
     spreads: wp.array(dtype=float),  # factor by which smoothing lowers phi
     lengths: wp.array(dtype=wp.vec3),
     shapes_out: wp.array(dtype=Shape),
-    # sums over the discs of each cell: number of discs, and optical depth
+    # sums over the discs in each cell: number of discs, and optical depth
     counts_out: wp.array(dtype=float),
     depths_out: wp.array(dtype=float),
 ):
@@ -297,8 +303,8 @@ def find_surface(
         # A cell behind a wall is empty, although Gaussians may have sunk into it.
         before = nearest(cells, at + wp.max(0.5 - gap, 0.0) * facing)
         depth = thickness(lengths[before], outwards) * per_cell / (1.0 + lower)
-        wp.atomic_add(counts_out, place, fade)
-        wp.atomic_add(depths_out, place, fade * wp.min(depth, OPAQUE))
+        distribute(cells, at + move * outwards, fade, counts_out)
+        distribute(cells, at + move * outwards, fade * wp.min(depth, OPAQUE), depths_out)
     shapes_out[n] = shape
 
 
@@ -363,18 +369,18 @@ def shape_gaussians(
     opacity = float(0.0)
     pale = float(0.0)
     if shape.kind == DISC:
-        at = (mean - cells.corner) / cells.cell
-        around = interpolate(cells, counts, at)
-        # Number of discs per cell of the surface. Smoothing lowers the value of a layer to the peak
-        # of the filter's Gaussian.
-        layer = around * wp.sqrt(2.0 * wp.pi) * BLUR
+        below = (mean - cells.corner) / cells.cell + (shape.move - 0.5) * shape.normal
+        above = below + shape.normal
+        around = interpolate(cells, counts, below) + interpolate(cells, counts, above)
+        layer = around / COUNTED  # discs per cell of the surface
         narrow = CLOSED * row_distance(means, rows, n) / cells.cell
         widest = STRETCHED + shape.lower * (WIDEST - STRETCHED)
         narrow = wp.clamp(narrow, BROAD + shape.lower * (NARROW - BROAD), widest)
         radius = wp.clamp(OVERLAP / wp.sqrt(wp.max(layer, 1.0e-6)), narrow, wp.max(narrow, WIDEST))
         # Without averaging over neighbouring discs, stretched rows of particles would appear as
         # stripes.
-        depth = interpolate(cells, depths, at) / wp.max(around, 1.0e-6)
+        depth = interpolate(cells, depths, below) + interpolate(cells, depths, above)
+        depth /= wp.max(around, 1.0e-6)
         overlapping = wp.max(2.0 * wp.pi * radius * radius * layer, 0.5)
         opacity = 1.0 - wp.exp(-wp.max(depth, LEAST_DEPTH) / overlapping)
         opacity = shape.fade * wp.max(opacity, MILKY * shape.foam)

@@ -86,6 +86,18 @@ def interpolate(cells: Grid, field: wp.array(dtype=Any), position: wp.vec3):
     return total
 
 
+@wp.func
+def distribute(cells: Grid, position: wp.vec3, value: float, field_out: wp.array(dtype=float)):
+    """Distribute a value among the eight cells around a position, with linear weights."""
+    at = inside(cells, position)
+    low = lowest(cells, at)
+    upper = at - wp.vec3(float(low[0]), float(low[1]), float(low[2]))
+    first = index_of(cells, low[0], low[1], low[2])
+    for corner in range(8):
+        step = index_of(cells, corner & 1, (corner >> 1) & 1, (corner >> 2) & 1)
+        wp.atomic_add(field_out, first + step, weight(corner, upper) * value)
+
+
 @kernel("phy124_fields", seconds=0.5)
 def fill(
     cells: Grid,
@@ -96,14 +108,8 @@ def fill(
 ):
     """Distribute the volume of each Gaussian among the eight cells around it."""
     n = wp.tid()
-    at = inside(cells, (means[n] - cells.corner) / cells.cell)
-    low = lowest(cells, at)
-    upper = at - wp.vec3(float(low[0]), float(low[1]), float(low[2]))
-    first = index_of(cells, low[0], low[1], low[2])
     share = volumes[n] / (cells.cell * cells.cell * cells.cell)
-    for corner in range(8):
-        step = index_of(cells, corner & 1, (corner >> 1) & 1, (corner >> 2) & 1)
-        wp.atomic_add(filled_out, first + step, weight(corner, upper) * share)
+    distribute(cells, (means[n] - cells.corner) / cells.cell, share, filled_out)
 
 
 @kernel("phy124_fields", seconds=0.5)
