@@ -8,13 +8,16 @@ from PIL import Image
 
 from phy124.__main__ import main
 from phy124.budget.effects import Effects
+from phy124.camera import Camera
 from phy124.gaussians import Gaussians
 from phy124.io.clip import Clip
 from phy124.io.formats import read_gaussians
+from phy124.kernels.splat.screen import MIN_ALPHA
 from phy124.rendering.film import film
 from phy124.rendering.frames import render_frames
 from phy124.rendering.framing import cameras
 from phy124.rendering.liquid import NOWHERE, Liquid, Planes
+from phy124.rendering.render import render
 from phy124.rendering.shine import GLOSSES, LAMP, Shine, add_gloss, make_shine, reflect, runs_of
 from phy124.runtime.context import RunContext
 from phy124.runtime.stopwatch import Stopwatch
@@ -143,12 +146,25 @@ def test_thick_liquid_lets_less_light_through(solid):
         """Optical depth of all surfaces, per area of the view from above [m^2]."""
         up = np.abs(drawn.normals[:, 2]) > 0.9
         area = 2 * np.pi * drawn.scales[up, 0] ** 2
-        return -(np.log1p(-drawn.opacities[up]) * area).sum() / np.ptp(drawn.means[up, :2])
+        shown = (drawn.opacities[up] - MIN_ALPHA).clip(0)
+        return -(np.log1p(-shown) * area).sum() / np.ptp(drawn.means[up, :2])
 
     assert dims(thick) > 1.5 * dims(thin)
     assert thin.rgb.mean() > thick.rgb.mean(), "a thin layer is pale"
     opaque = Liquid(solid, 2 * CELL, None).shape(still(solid))
     assert dims(opaque) > 3 * dims(thick)
+
+
+def test_a_liquid_with_more_gaussians_is_not_paler():
+    camera = Camera.orbit(0, 89, 20, 64, (0.5, 0.5, 0), fov_y=1.5)
+    shown = []
+    for spacing in (CELL, CELL / 4):
+        step = np.arange(spacing / 2, 1, spacing)
+        x = np.stack(np.meshgrid(step, step, step[step < 6 * CELL]), axis=-1).reshape(-1, 3)
+        drawn = Liquid(x, 2 * CELL, 0.5).shape(still(x))
+        picture = render(Gaussians(*drawn[:4], still(x).sh), camera, alpha=True, device="cpu")
+        shown.append(np.asarray(picture)[..., 3].mean())
+    assert shown[1] == pytest.approx(shown[0], rel=0.05)
 
 
 def test_a_pool_is_drawn_as_flat_up_to_its_walls():

@@ -8,6 +8,7 @@ import warp as wp
 
 from phy124.kernels.build import kernel
 from phy124.kernels.splat.fields import Grid, distribute, interpolate, nearest
+from phy124.kernels.splat.screen import MIN_ALPHA
 
 HIDDEN = wp.constant(0)
 DISC = wp.constant(1)
@@ -383,7 +384,8 @@ def shape_gaussians(
         depth /= wp.max(around, 1.0e-6)
         overlapping = wp.max(2.0 * wp.pi * radius * radius * layer, 0.5)
         opacity = 1.0 - wp.exp(-wp.max(depth, LEAST_DEPTH) / overlapping)
-        opacity = shape.fade * wp.max(opacity, MILKY * shape.foam)
+        # Drawing omits alphas below MIN_ALPHA, as if opacities were lower by MIN_ALPHA.
+        opacity = shape.fade * wp.max(opacity, MILKY * shape.foam) + MIN_ALPHA
         pale = THIN * wp.exp(-2.0 * depth)
         scale = radius * wp.vec3(1.0, 1.0, FLAT + shape.foam * (THICK - FLAT))
         quat = turn_to(shape.normal)
