@@ -14,6 +14,7 @@ from demo.fits.jobs import Fits
 from demo.fits.search import PLAN, in_words, outlook, progress
 from demo.fits.video import Seen, read_video
 from demo.forecast import Estimator
+from demo.handlers.fit import summarise
 from demo.jobs import Studio
 from demo.settings import Settings
 from demo.visitors import Room, Visitors
@@ -296,6 +297,14 @@ def test_no_sentence_of_a_refusal_names_a_command_line_option():
     for field in ("seconds", "find"):
         error = InputError(field, 1, "the least is 9 s.", "Give --seconds 99.")
         assert "--" not in str(in_words(error))
+
+
+def test_a_fit_on_a_single_grid_claims_no_corrected_error():
+    shown = {**FIT["pictures"], "was": {"material.E": 4e4}, "laid": None}
+    report = {**FIT, "runs": [9], "seconds": 1.0, "pictures": shown}
+    assert "After correction of the grid error" in " ".join(summarise(report))
+    single = {**report, "grids": report["grids"][:1]}
+    assert "grid error" not in " ".join(summarise(single))
 
 
 @pytest.mark.slow

@@ -113,10 +113,11 @@ def summarise(report: dict[str, Any]) -> list[str]:
     interval = f"95 % interval {low} to {high} Pa"
     lines = [f"Softness: {_format(value['value'])} Pa ({interval}); before the fit {was} Pa."]
     least, most = (_format(end) for end in value["limit"]["interval"])
-    lines.append(
-        f"This value is for the accuracy of this result. After correction of the grid error, the "
-        f"stiffness is {_format(value['limit']['value'])} Pa ({least} to {most} Pa)."
-    )
+    if len(report["grids"]) > 1:
+        lines.append(
+            f"This value is for the accuracy of this result. After correction of the grid error, "
+            f"the stiffness is {_format(value['limit']['value'])} Pa ({least} to {most} Pa)."
+        )
     if shown["before"] and shown["fitted"]:
         before, after = (_rms(shown[name]) for name in ("before", "fitted"))
         lines.append(
