@@ -17,7 +17,10 @@ VALUES, DEEPEST = 50_000, 40
 HELD, SMALL = 128_000_000, 64_000
 """Largest memory of all incomplete request bodies, and largest size of a body not counted [bytes].
 """
-ODD = "This request cannot be read: its JSON has too many values, or they are nested too deeply."
+ODD = (
+    "This request cannot be read: its JSON has too many values, or they are nested too deeply, or "
+    "one of them is NaN or Infinity."
+)
 
 
 class BodyLimit:
@@ -80,9 +83,10 @@ class BodyLimit:
 
 
 def is_plain(body: bytes) -> bool:
-    """Return whether a JSON text has at most `VALUES` values, nested at most `DEEPEST` deep.
+    """Return whether a JSON text has at most `VALUES` finite values, at most `DEEPEST` deep.
 
-    The check is fast because it counts commas and brackets, even those inside strings.
+    NaN and Infinity are not JSON; Python reads them, but Gradio cannot answer them. The check is
+    fast because it counts commas and brackets, even those inside strings.
     """
     marks = sum(body.count(mark) for mark in (b",", b"[", b"{"))
     # A zero byte indicates UTF-16 or UTF-32, in which the search would miss quotes.
@@ -90,6 +94,8 @@ def is_plain(body: bytes) -> bool:
         return False
     unescaped = body.replace(b"\\\\", b"").replace(b'\\"', b"")
     outside = b"".join(unescaped.split(b'"')[::2])
+    if b"NaN" in outside or b"Infinity" in outside:
+        return False
     depth = 0
     for bracket in re.findall(rb"[\[\]{}]", outside):
         depth += 1 if bracket in b"[{" else -1

@@ -33,6 +33,9 @@ def _nested(depth: int, beside: str = "") -> bytes:
         # Brackets in texts do not count, and closing ones take nothing away.
         (b'["]]]]\\"]]",' * (DEEPEST + 1) + b"]" * (DEEPEST + 1), False),
         (json.dumps([1]).encode("utf-16"), False),
+        (json.dumps({"frames": float("nan")}).encode(), False),
+        (json.dumps([-float("inf")]).encode(), False),
+        (b'["NaN Infinity"]', True),
     ],
 )
 def test_json_is_bounded_in_number_and_depth(body, plain):
