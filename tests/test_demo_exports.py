@@ -34,6 +34,8 @@ from phy124.particles.thickness import Proportions
 from phy124.scene import Scene
 from support.quantisation import many
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 ME = "cookie me"
 
 

@@ -428,9 +428,9 @@ def test_values_are_checked_on_the_server(client, options, message):
 
 
 def test_visitors_files_are_not_found_by_name(server, client, file):
-    generate(client, file)
-    folders = list((server.folder / "visitors").iterdir())
-    assert folders
+    if not _folders(server):  # no other test has sent a file
+        generate(client, file)
+    assert _folders(server)
     for path in (server.log, server.folder / "visitors", ROOT / "app.py"):
         assert get(f"{server.url}/gradio_api/file={path}")[0] in (403, 404)
 
@@ -459,7 +459,7 @@ def _leave_in_the_middle(server: Server, file: Path) -> None:
 
     with client_of(server) as client:
         sent = client.submit(
-            handle_file(str(file)), "press", "draft", 6, FEW, [], api_name="/generate"
+            handle_file(str(file)), "press", "draft", 4, FEW, [], api_name="/generate"
         )
         server.until(lambda: sent.status().code != Status.STARTING, "an answer to the request")
 

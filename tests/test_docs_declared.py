@@ -19,6 +19,8 @@ from phy124.pipeline.report_keys import (
 from phy124.scene import Scene
 from support.pages import ROOT
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 SECTIONS = {
     "balance": Balance,
     "substep": Substep,

@@ -42,6 +42,8 @@ from support.clips import falling
 from support.pages import PAGES, blocks
 from support.shapes import ball
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 POINTS, INSTANTS = 20, np.linspace(0, 2, 25)
 TRUTH = np.array([0.6, 0.35])
 PLACES = (("x", "y", "z"), ("u", "v"))

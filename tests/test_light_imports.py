@@ -73,6 +73,7 @@ def test_scipy_is_imported_without_test_helpers() -> None:
     assert "numpy.f2py" in imported_after(code + later)
 
 
+@pytest.mark.slow
 def test_render_imports_no_test_helpers(tmp_path: Path) -> None:
     """A film computes its shadows without the parts of NumPy that only tests need."""
     scene = Scene.named("press").replaced({"accuracy.cells": 8, "time.frames": 1})

@@ -27,6 +27,8 @@ from phy124.simulation import Simulation, Stopped, prepare
 from support.runs import resumed
 from support.shapes import ball
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 QUICK = {
     "accuracy": {"cells": 8, "solver": "mpm"},
     "time.frames": 5,

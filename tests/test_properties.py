@@ -19,6 +19,8 @@ from phy124.studies.validation.bodies import lattice, make_solver
 from support.bars import AT, E, bar, length, pulled
 from support.shapes import ball
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 VOMP = [
     ("x", "<f4"),
     ("y", "<f4"),
