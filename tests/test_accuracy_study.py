@@ -30,6 +30,8 @@ from phy124.studies.validation.accuracy.report import (
 from phy124.studies.validation.accuracy.study import Study
 from support.shapes import ball
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 LEVELS = (8, 12, 16)
 PARTICLES = {"accuracy": {"cells": 16, "solver": "mpm"}}
 """On a lattice, material cannot tear, and the energy lost is not split."""

@@ -24,6 +24,8 @@ from phy124.runtime.installation import install_command
 from phy124.scene import Scene, preset_names
 from phy124.scene.files import files_named
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 
 @pytest.fixture(autouse=True)
 def quiet(monkeypatch):

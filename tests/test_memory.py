@@ -21,6 +21,8 @@ from phy124.scene.scene import preset_names
 from phy124.simulation import Simulation, prepare
 from support.shapes import ball
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 EMPTY = ("empty", "empty_like")
 """Functions of NumPy and of Warp that give memory as it comes."""
 BYTE = 0xFF
