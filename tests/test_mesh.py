@@ -87,7 +87,25 @@ def test_a_textured_mesh_has_the_colours_of_its_picture(tmp_path):
     green, blue = left[left[:, 1] > 0.3], left[left[:, 2] > 0.1]
     assert len(green) + len(blue) == len(left)
     assert green[:, 1].max() == pytest.approx(1, abs=0.1)
-    assert blue[:, 2].max() == pytest.approx(0.5, abs=0.05)
+    assert blue[:, 2].max() == pytest.approx(0.735, abs=0.05)  # linear 0.5
+
+
+@pytest.mark.parametrize("source", ["vertices", "factor", "texture"])
+def test_colours_of_glb_are_linear(tmp_path, source):
+    from PIL import Image
+
+    body, linear = trimesh.creation.icosphere(3), [55, 55, 55, 255]  # 0.5 in sRGB
+    if source == "vertices":
+        body.visual.vertex_colors = linear
+    else:
+        white = Image.new("RGB", (2, 2), (255, 255, 255)) if source == "texture" else None
+        material = trimesh.visual.material.PBRMaterial(
+            baseColorFactor=linear, baseColorTexture=white
+        )
+        uv = np.full((len(body.vertices), 2), 0.5)
+        body.visual = trimesh.visual.TextureVisuals(uv=uv, material=material)
+    drawn, _ = meshes._read(str(saved(tmp_path / "grey.glb", body)), "glb", 0, 500)
+    np.testing.assert_allclose(drawn[2], 0.5, atol=0.005)
 
 
 def test_an_open_mesh_is_filled(tmp_path):

@@ -24,6 +24,7 @@ from phy124.generators.shapes import choose_triangles, cover_surface
 from phy124.io.axes import orientation, rotate_gaussians
 from phy124.io.content import AGAIN, Y_UP, Content, describe_coarseness, step_of
 from phy124.io.formats import MESH_ENDINGS
+from phy124.io.formats.mesh import to_linear, to_srgb
 from phy124.io.opening import obstacle
 from phy124.runtime import isolated
 from phy124.runtime.installation import install_command
@@ -220,7 +221,7 @@ def _unusable(path: Path, limit: str, remedy: str) -> InputError:
 def _read(path: str, kind: str, seed: int, count: int) -> tuple[Drawn, str | None]:
     """Run in a separate process; the message of a ValueError is "limit; remedy"."""
     solids, shapes = _load_solids(path, kind)
-    drawn = _sample_surface(solids, seed, count)
+    drawn = _sample_surface(solids, seed, count, linear=kind in ("glb", "gltf"))
     # The vertices of `shapes` are in the file's coordinates, before the transform of any scene node
     # is applied.
     largest: Any = max(shapes, key=lambda piece: len(getattr(piece, "faces", ())))
@@ -319,7 +320,7 @@ def _join_corners(pieces: list[Trimesh]) -> tuple[NDArray[np.float64], NDArray[n
     return corners, normals
 
 
-def _sample_surface(pieces: list[Trimesh], seed: int, count: int) -> Drawn:
+def _sample_surface(pieces: list[Trimesh], seed: int, count: int, linear: bool) -> Drawn:
     corners, normals = _join_corners(pieces)
     # If the normals of most of the area point towards the centre, the mesh is inside out. All
     # normals are then reversed.
@@ -329,18 +330,19 @@ def _sample_surface(pieces: list[Trimesh], seed: int, count: int) -> Drawn:
     points = np.einsum("nc,nci->ni", weights, corners[chosen])
     outward = sign * normals[chosen]
     outward /= np.linalg.norm(outward, axis=1, keepdims=True)
-    return points, outward, _colours(pieces, chosen, weights)
+    return points, outward, _colours(pieces, chosen, weights, linear)
 
 
 def _colours(
-    pieces: list[Trimesh], chosen: NDArray[np.int64], weights: NDArray
+    pieces: list[Trimesh], chosen: NDArray[np.int64], weights: NDArray, linear: bool
 ) -> NDArray[np.float64] | None:
-    """Return the colours [N,3] of points on triangles; None if no mesh has colours.
+    """Return the sRGB colours [N,3] of points on triangles, 0..1; None if no mesh has colours.
 
     Args:
         pieces: Meshes whose triangles are numbered consecutively.
         chosen: Triangle of each point [N].
         weights: Barycentric coordinates of each point [N,3].
+        linear: Whether the colours of vertices are linear.
     """
     ends = np.cumsum([0, *(len(piece.faces) for piece in pieces)])
     rgb, any_colour = np.full((len(chosen), 3), 0.8), False
@@ -348,28 +350,37 @@ def _colours(
         within = (chosen >= start) & (chosen < stop)
         if not within.any():
             continue
-        colours = _colour_piece(piece, chosen[within] - start, weights[within])
+        colours = _colour_piece(piece, chosen[within] - start, weights[within], linear)
         if colours is not None:
-            rgb[within], any_colour = np.asarray(colours, float)[:, :3] / 255, True
+            rgb[within], any_colour = colours, True
     return rgb if any_colour else None
 
 
-def _colour_piece(piece: Trimesh, triangles: NDArray, weights: NDArray) -> NDArray[Any] | None:
-    """Return colours [N,3 or 4], 0..255; None if the mesh has no colours."""
+def _colour_piece(
+    piece: Trimesh, triangles: NDArray, weights: NDArray, linear: bool
+) -> NDArray[np.float64] | None:
+    """Return the sRGB colours of points [N,3] or of all points [3], 0..1; None if the mesh has no
+    colours.
+    """
     visual: Any = piece.visual
     if visual.kind == "face":
-        return visual.face_colors[triangles]
+        return visual.face_colors[triangles, :3] / 255
     if visual.kind == "vertex":
-        return np.einsum("nc,nci->ni", weights, visual.vertex_colors[piece.faces[triangles]])
+        corners = visual.vertex_colors[piece.faces[triangles], :3] / 255
+        colours = np.einsum("nc,nci->ni", weights, corners)
+        return to_srgb(colours) if linear else colours
     if visual.kind != "texture":
         return None
     material: Any = visual.material
-    tint = np.asarray(material.main_color, float)[None, :3]
+    factor = getattr(material, "baseColorFactor", None)
+    # Only materials of glTF have a factor, which is linear; their textures are sRGB.
+    light = None if factor is None else factor[:3] / 255
+    tint = material.main_color[:3] / 255 if light is None else to_srgb(light)
     if visual.uv is None or len(visual.uv) != len(piece.vertices):
-        return np.repeat(tint, len(triangles), axis=0)
+        return tint
     uv = np.einsum("nc,nci->ni", weights, visual.uv[piece.faces[triangles]])
     texture = material.to_color(np.nan_to_num(uv)) if np.ndim(uv) == 2 else None
     if texture is None or np.ndim(texture) == 1:
-        return np.repeat(tint, len(triangles), axis=0)
-    factor = getattr(material, "baseColorFactor", None)
-    return texture[:, :3] * (1.0 if factor is None else tint / 255)
+        return tint
+    colours = texture[:, :3] / 255
+    return colours if light is None else to_srgb(to_linear(colours) * light)

@@ -156,6 +156,11 @@ def to_linear(rgb: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
 
 
+def to_srgb(rgb: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Convert linear colours to sRGB colours, both 0..1."""
+    return np.where(rgb <= 0.0031308, 12.92 * rgb, 1.055 * rgb ** (1 / 2.4) - 0.055)
+
+
 def to_trimesh(surface: Surface, *, linear: bool = False) -> Any:
     """Return a surface as a mesh of trimesh; glTF needs `linear` colours instead of sRGB."""
     import trimesh
