@@ -48,6 +48,9 @@ def test_resume_refuses_other_files_and_options(tmp_path, capsys):
         assert said in capsys.readouterr().err
     shutil.copy(DUCK.with_name("teddy.png"), picture)
     assert main(same) == 2
-    assert "another file than the present picture 1" in capsys.readouterr().err
+    assert "another file than the present input 1" in capsys.readouterr().err
+    picture.unlink()
+    assert main(same) == 2
+    assert "the input 1 cannot be read and compared" in capsys.readouterr().err
     shutil.copy(DUCK, picture)
     assert main(same) == 0

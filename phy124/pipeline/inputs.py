@@ -35,6 +35,7 @@ OPTIONS = {
     "count": "gaussians",
 }
 """Names of options on the command line, by the name of the argument."""
+USUAL = {"generator": "relief", "foreground": "auto"}
 FILES = ("mask", "side", "back")
 DIGEST = "sha256:"
 
@@ -52,21 +53,25 @@ def describe_inputs(
     Raises:
         InputError: An option has a wrong value.
     """
-    options: dict[str, Any] = {"generator": "relief", "foreground": "auto"}
+    options = dict[str, Any]()
     for name, value in making.items():
         if name in SECTIONS and value is not None:
             options |= validate(SECTIONS[name], value).model_dump(exclude_defaults=True)
         elif name in (*OPTIONS, *FILES) and value is not None:
             options[OPTIONS.get(name, name)] = value
+    generator = options.pop("generator", USUAL["generator"])
     files: dict[str, PathLike] = {name: options.pop(name) for name in FILES if name in options}
     if DepthMap(depth=options.get("depth", "auto")).path:
         files["depth"] = options.pop("depth")
-    named = {f"picture {index}": path for index, path in enumerate(pictures, 1)}
-    if not needs_image(options["generator"]):
-        files["generator"] = options.pop("generator")
-        named.pop("picture 1")
+    named = {f"input {index}": path for index, path in enumerate(pictures, 1)}
+    if needs_image(generator):
+        known = isinstance(generator, str)
+        options["generator"] = generator if known else type(generator).__name__
+    else:
+        files["generator"] = generator
+        del named["input 1"]
     files |= named | dict(files_named(scene))
-    texts = {name: str(value) for name, value in options.items()}
+    texts = {name: str(value) for name, value in options.items() if value != USUAL.get(name)}
     return texts | {name: _digest(Path(path)) for name, path in files.items()}
 
 
@@ -76,11 +81,13 @@ def refuse_other_inputs(inputs: dict[str, str], before: dict[str, str], out: Pat
     Raises:
         InputError: A file or an option differs.
     """
-    for name in {**before, **inputs}:
+    for name in {**inputs, **before}:
         new, old = inputs.get(name), before.get(name)
         if new == old:
             continue
-        if DIGEST in f"{new}{old}":
+        if new == DIGEST:
+            limit = f"the {name} cannot be read and compared with that of the interrupted run."
+        elif DIGEST in f"{new}{old}":
             limit = f"the interrupted run was made from another file than the present {name}."
         else:
             limit = f"the interrupted run has {name} = {old or 'default'}, not {new or 'default'}."
