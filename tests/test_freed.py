@@ -109,7 +109,14 @@ def survivors(make: Callable[[], object]) -> list[str]:
         return sorted(type(each()).__name__ for each in references if each() is not None)
 
 
-@pytest.mark.parametrize("kind", SCENES)
+MORE = ("several lattices", "sand in liquid", "contacts")
+"""The parts of these scenes are in the others, too."""
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [pytest.param(kind, marks=[pytest.mark.slow] * (kind in MORE)) for kind in SCENES],
+)
 def test_a_finished_run_leaves_nothing(kind):
     scene = SCENES[kind]()
     assert survivors(lambda: simulation(scene)) == []

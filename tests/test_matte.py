@@ -9,6 +9,8 @@ from phy124.rendering.matte import Matte, blur, find_matte, illuminate
 from phy124.rendering.shine import LAMP, add_gloss, make_shine
 from support.shapes import ball
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 CELL = 0.05
 
 
@@ -101,7 +103,7 @@ def test_patches_of_several_colours_vanish_and_eyes_stay():
     assert fine[eye].mean() < 0.88 * fine[right].mean()
 
 
-@pytest.mark.parametrize("law", ["sand", "snow"])
+@pytest.mark.parametrize("law", ["sand", pytest.param("snow", marks=pytest.mark.slow)])
 def test_tinted_grains_are_lit_and_the_picture_of_others_stays(law):
     quick = Scene.named(law).replaced({"accuracy": {"cells": 8}, "time.frames": 2})
     clip = Simulation(prepare(ball(300), quick)).run()

@@ -66,6 +66,7 @@ def test_compliance_is_that_of_a_cantilever():
     assert compliance(box(width, 2 * width, height)) == pytest.approx(deflection, rel=0.05)
 
 
+@pytest.mark.usefixtures("coarse_solids")
 def test_hardest_of_several_objects_counts():
     """A thin plate next to a ball decides, relative to the first object's size."""
     plate = {"name": "plate", "shape": "box", "size": 0.5, "sides": [1, 1, 0.1], "place": [2, 0]}

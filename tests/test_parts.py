@@ -11,6 +11,8 @@ from phy124.simulation.materials import assign
 from phy124.studies.validation.bodies import make_solver
 from support.shapes import ball
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 GRID = np.stack(np.meshgrid(*[np.linspace(-0.5, 0.5, 8)] * 3), axis=-1).reshape(-1, 3)
 NOBODY = np.full(len(GRID), -1)
 

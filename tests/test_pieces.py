@@ -69,10 +69,10 @@ def test_rods_of_slivers_stay_whole_and_bend_like_beams(thick, along, place):
         (0.3, 0, 0, 0.0),
         (0.3, 20, 25, 0.2),
         (0.3, 45, 0, 0.0),
-        (0.5, 0, 0, 0.0),
+        pytest.param(0.5, 0, 0, 0.0, marks=pytest.mark.slow),
         (0.5, 20, 25, 0.0),
-        (0.7, 45, 0, 0.25),
-        (1.0, 30, 0, 0.25),
+        pytest.param(0.7, 45, 0, 0.25, marks=pytest.mark.slow),
+        pytest.param(1.0, 30, 0, 0.25, marks=pytest.mark.slow),
         (1.5, 45, 0, 0.5),
     ],
 )
@@ -128,7 +128,7 @@ def test_copies_follow_their_cells():
     assert np.array_equal(points_of(backwards, every).copies, every.copies[::-1])
 
 
-@pytest.mark.parametrize("place", PLACES)
+@pytest.mark.parametrize("place", [*PLACES[:2], pytest.param(PLACES[2], marks=pytest.mark.slow)])
 @pytest.mark.parametrize(("thick", "gap"), [(1.0, 0.4), (0.3, 0.3)])
 def test_joined_plates_bend_like_single_ones(place, thick, gap):
     """They are joined at one end only; with common nodes they would bend like a thick one."""

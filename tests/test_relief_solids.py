@@ -89,6 +89,7 @@ def test_solid_of_revolution_is_round_in_each_row():
     assert depth < 0.6 * width
 
 
+@pytest.mark.slow
 def test_compact_round_shapes_are_turned():
     """An apple is as deep as wide at each height, also near its flat top."""
     apple = abs((X - 96) / 80) ** 3 + abs((Y - 96) / 76) ** 3 < 1
@@ -137,6 +138,7 @@ def test_arcs_tell_a_drum_from_a_log(upright):
         assert (behind.rgb[lower, 2] > 2 * behind.rgb[lower, 0]).mean() > 0.9
 
 
+@pytest.mark.slow
 def test_front_of_a_rounded_block_is_its_picture(renderer):
     """Flat ends neither rise above the picture, nor is there a groove below them."""
     x, y = (X - 96) / 70, (Y - 96) / 70

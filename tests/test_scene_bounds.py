@@ -16,6 +16,8 @@ from phy124.simulation import Simulation, prepare
 from support.declared import Leaf, beyond, leaves, legal
 from support.shapes import ball
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 TINY = {
     "accuracy": {"cells": 4, "particles_per_axis": 1},
     "time": {"frames": 2, "fps": 240, "budget": 0.1},

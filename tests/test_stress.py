@@ -32,6 +32,7 @@ MARKED = [
 ]
 
 
+@pytest.mark.usefixtures("coarse_solids")
 @pytest.mark.parametrize("precision", PRECISIONS)
 @pytest.mark.parametrize("device", DEVICES)
 @pytest.mark.parametrize("case", MARKED)
