@@ -377,6 +377,12 @@ def test_refusals_say_what_to_do(rng):
         scale_to_size(gaussians, -1)
 
 
+def test_more_gaussians_than_samples_have_an_interior(monkeypatch):
+    monkeypatch.setattr(solid, "MAX_SAMPLES", 20_000)
+    shell = dots(0.5 * directions(30_000, np.random.default_rng(0)), 1e-4)
+    assert find_solid(shell, 1 / 32).volume == pytest.approx(BALL, rel=0.1)
+
+
 def test_the_same_gaussians_outline_the_same_solid_only_once(rng, monkeypatch):
     same, other = (dots(rng.random((60, 3)), 0.05) for _ in range(2))
     first = find_interior(same)
