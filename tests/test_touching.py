@@ -53,6 +53,13 @@ def test_click_selects_one_of_three_objects():
         assert (taken & disc(x, 45)).sum() > 0.95 * taken.sum()
 
 
+@pytest.mark.parametrize("x", [90, 206])
+def test_click_beside_an_object_selects_that_object(x):
+    rgb, alpha = painted((disc(90), RED), (disc(206), BLUE))
+    taken = select_part(rgb, alpha, (16, x)) > 0
+    assert (taken & disc(x)).sum() > 0.95 * taken.sum()
+
+
 def test_touching_objects_are_noted_and_split_by_a_pick(monkeypatch):
     rgb, alpha = painted((disc(90), RED), (disc(206), BLUE))
     monkeypatch.setitem(METHODS, "u2netp", Method(lambda image: False, lambda *_: alpha))

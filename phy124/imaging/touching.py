@@ -40,12 +40,15 @@ class Neck(NamedTuple):
 
 
 def select_part(rgb: NDArray[np.uint8], alpha: Alpha, place: tuple[int, int]) -> Alpha:
-    """Return the alpha [H,W] of the object at a row and column, without objects that touch it."""
+    """Return the alpha [H,W] of the object nearest to a row and column, without objects that
+    touch it.
+    """
     for _ in range(MOST - 1):
         parts = split_touching(rgb, alpha)
         if parts is None:
             break
-        alpha = np.where(parts[0] if parts[0][place] else parts[1], alpha, np.uint8(0))
+        nearest = min(parts, key=lambda part: _distance_to(part)[place])
+        alpha = np.where(nearest, alpha, np.uint8(0))
     return alpha
 
 
