@@ -46,6 +46,14 @@ def test_the_picture_goes_in_and_gaussians_come_out(tmp_path, copies):
     assert not np.allclose(turned.means, result.means)
 
 
+def test_files_next_to_the_named_file_are_ignored(tmp_path):
+    write_ply(tmp_path / "made.ply", ball(100))
+    beside = "open(out.removesuffix('.ply') + '.bin', 'w').write('0')"
+    copy = f"shutil.copy({str(tmp_path / 'made.ply')!r}, out)"
+    command = f"cmd: {program(tmp_path, beside, copy)}.ply"
+    assert len(make(command)(PICTURE, seed=0, progress=lambda *_: None)) == 100
+
+
 @pytest.mark.parametrize(
     ("line", "limit"),
     [

@@ -85,8 +85,12 @@ class Command:
             picture.convert("RGBA").save(picture_file)
             names = {"{image}": str(picture_file), "{out}": str(output_file), "{seed}": str(seed)}
             self._run([_fill(word, names) for word in words], seconds, Path(folder), progress)
-            # Some programs choose the format of a mesh by the extension of {out}.glb.
-            written = sorted(Path(folder).glob(f"{output_file.name}*"))
+            # Some programs choose the format of a mesh by the extension of {out}.glb, add an
+            # extension to {out}, or write files of textures next to the mesh.
+            endings = [end for word in words for end in re.findall(r"\{out\}([\w.-]*)", word)]
+            named = [output_file.with_name(output_file.name + end) for end in endings]
+            written = [file for file in named if file.exists()]
+            written = written or sorted(Path(folder).glob(f"{output_file.name}*"))
             if not written:
                 raise self._failure(
                     "It finished without an error, but did not write a file to {out}.", USAGE
