@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from phy124.boundaries import HalfSpace, Held
-from phy124.forces import Gravity
+from phy124.forces import Gravity, Impulse, TotalForce
 from phy124.lattice.clamps import acts_on
 from phy124.lattice.coupled import CoupledSolver
 from phy124.materials import NeoHookean
@@ -92,6 +92,16 @@ def test_lattice_slides_on_particles(friction):
     assert gained == pytest.approx(expected, abs=1e-2)
 
 
+@pytest.mark.parametrize("push", [TotalForce(f=(0, 30, 0)), Impulse(p=(0, 30, 0), duration=0.1)])
+def test_total_accelerates_all_bodies_equally(push):
+    solid = block((0.3,) * 3, low=(1.0, 0.3, 0.3))
+    solver = make((6, 6, 6), (0.2, 0.2, 0.2), solid, forces=[push])
+    solver.advance(0.2)
+    soft, stiff = momenta(solver)[:, 1]
+    share = solver.lattice.model.total_mass / solver.model.total_mass
+    assert stiff == pytest.approx(share * (soft + stiff), rel=1e-9)
+
+
 def bury(**changes):
     """Return a scene in which sand falls on an elastic object on its lattice."""
     data = Scene.named("bury").data()
@@ -125,3 +135,18 @@ def test_coupled_run_resumes_bit_for_bit_and_reports():
     weight = 9.81 * setup.particles.mass.sum()
     assert report["walls"]["ground"]["largest_force"] > weight
     assert any("rest lattices" in row for row in report["effects"]["ran"])
+
+
+def test_held_lattice_pushes_another_lattice():
+    shape = {"shape": "box", "sides": [1, 1, 0.4], "on": "floor", "material": DAMPED}
+    table = {**shape, "name": "table", "size": 0.8, "place": [-2, 0], "held": True}
+    plate = {**shape, "name": "plate", "size": 0.5, "place": [-2, 0], "on": "table"}
+    sand = Scene.named("bury").data()["objects"][0] | {"on": "floor", "place": [3, 0], "size": 0.4}
+    scene = bury(objects=[sand, table, plate])
+    run = Simulation(prepare(surface_of_ball(100), scene, RunContext(threads=1)))
+    for _ in range(4):
+        run.step()
+    report = run.report()
+    assert report["balance"]["momentum_gain"] < 1e-4
+    weight = 9.81 * DAMPED.density * 0.5**3 * 0.4
+    assert report["pairs"]["table_on_plate"]["largest_force"] > 0.5 * weight

@@ -14,6 +14,7 @@ from phy124.lattice.solver import LatticeSolver
 from phy124.mpm import Attachable, Clock, Model, Pair, Solver, State
 from phy124.mpm.kept import Kept
 from phy124.mpm.pairs import fill_of
+from phy124.mpm.stage import divide_forces
 from phy124.mpm.timestep import Substep
 
 STATE = ("x", "v", "C", "F")
@@ -74,7 +75,7 @@ class CoupledSolver(Solver):
         motion = (np.asarray(array.numpy(), np.float64)[index] for array in (state.v, state.C))
         rows = surface.copy()
         rows[:, 6] = np.searchsorted(bodies, rows[:, 6])
-        self._index, self._numbers = index, number
+        self._index, self._bodies, self._numbers = index, bodies, number
         self.lattice = LatticeSolver(
             part,
             rows,
@@ -118,7 +119,8 @@ class CoupledSolver(Solver):
 
         The `uniform` forces and the boundaries `walls` act on the lattices.
         """
-        self.lattice.bind(forces=uniform, boundaries=walls)
+        forces = divide_forces(uniform, self.lattice.model, self.model)
+        self.lattice.bind(forces=forces, boundaries=walls)
         super().bind(**acting)
         self.rejection.keep(self._part)
 
@@ -129,6 +131,7 @@ class CoupledSolver(Solver):
         lattice = self.lattice
         lattice.rejection.begin(self.clock.time, until)
         lattice.limits.measure_if_due()
+        lattice.pairs.begin()
         before = [material.sums.numpy().copy() for material in self.materials]
         super().advance(until, after=after, each=each)
         lattice.clock.time, lattice.clock.last_dt = self.clock.time, self.clock.last_dt
@@ -139,6 +142,8 @@ class CoupledSolver(Solver):
             soft, other = (first, second) if first in self._numbers else (second, first)
             impulse, moment = np.split(material.sums.numpy() - old, 2)
             self.pairs.add(other, soft, impulse, moment)
+        for (first, second), (impulse, moment) in lattice.pairs.wrenches(1.0).items():
+            self.pairs.add(self._bodies[first], self._bodies[second], impulse, moment)
 
     def _stable_step(self, until: float) -> None:
         if self.lattice.limits.measure_if_due():

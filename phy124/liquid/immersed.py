@@ -19,12 +19,13 @@ from phy124.lattice.solver import LatticeSolver
 from phy124.liquid.bodies import Bodies
 from phy124.liquid.exchange import LatticeBodyWork
 from phy124.liquid.impulses import WallImpulses
-from phy124.liquid.mixed import MixedClock, divide_forces, liquid_model, liquid_span, liquid_state
+from phy124.liquid.mixed import MixedClock, liquid_model, liquid_span, liquid_state
 from phy124.liquid.solver import LiquidSolver
 from phy124.mpm import Accumulator, Attachable, Model, Pair, Stage, State
 from phy124.mpm.free import Plane
 from phy124.mpm.grid import grids_of
 from phy124.mpm.pairs import Pairs
+from phy124.mpm.stage import divide_forces
 from phy124.mpm.tracks import Tracks
 from phy124.mpm.workers import Timings, run_timed
 from phy124.runtime.weakly import weakly

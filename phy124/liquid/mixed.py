@@ -19,6 +19,7 @@ from phy124.liquid.solver import LiquidSolver
 from phy124.mpm import Accumulator, Attachable, Clock, Model, Solver, State
 from phy124.mpm.free import Plane
 from phy124.mpm.model import part_of
+from phy124.mpm.stage import divide_forces
 from phy124.runtime.weakly import weakly
 
 
@@ -250,12 +251,6 @@ def liquid_model(model: Model, span: slice) -> Model:
         free_mass=0.0,
         least_stiffness=1.0,
     )
-
-
-def divide_forces(forces: Sequence[Any], part: Model, whole: Model) -> list[Any]:
-    """Return the forces that act on a part of a divided model, with the part's share of totals."""
-    parts = (force.in_part(part, whole) for force in forces)
-    return [force for force in parts if force is not None]
 
 
 def liquid_state(state: State, span: slice) -> State:

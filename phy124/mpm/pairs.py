@@ -66,9 +66,7 @@ class Pairs(Kept):
         shape = (workers, len(self.all), ROOM)
         self._sums = wp.zeros(shape, dtype=wp.float64, device=model.device)
         self._added = np.zeros((len(self.all), SUMS))
-        """For each pair, the sum of the impulses of liquids [pairs,6]; another solver computes
-        these impulses.
-        """
+        """For each pair, the sum of the impulses that other solvers compute [pairs,6]."""
         self._begun = self._total()
         self._fill = fill_of(model)
 
@@ -81,7 +79,7 @@ class Pairs(Kept):
         return np.asarray(self._sums.numpy()).sum(axis=0)[:, :SUMS] + self._added
 
     def add(self, first: int, second: int, impulse: NDArray, moment: NDArray) -> None:
-        """Add an impulse between a liquid and a body.
+        """Add an impulse that another solver computes.
 
         Args:
             first: Index of a body.

@@ -1,6 +1,6 @@
 """Stage: a kernel launch in a substep; it is recorded again when the grid's window changes."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, Protocol
 
 import warp as wp
@@ -48,6 +48,12 @@ class Attachable(Protocol):
         Quantities that change over time are added to `tracks`.
         """
         ...
+
+
+def divide_forces(forces: Sequence[Any], part: Model, whole: Model) -> list[Any]:
+    """Return the forces that act on a part of a divided model, with the part's share of totals."""
+    parts = (force.in_part(part, whole) for force in forces)
+    return [force for force in parts if force is not None]
 
 
 class Sums(Protocol):
