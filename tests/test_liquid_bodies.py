@@ -11,8 +11,10 @@ from phy124.liquid.mixed import MixedSolver
 from phy124.materials import Fluid, NeoHookean
 from phy124.mpm import FreeBody, Model, State
 from phy124.runtime.context import RunContext
+from phy124.scene import Scene
 from phy124.schema.region import Region
 from phy124.simulation import Simulation, prepare
+from phy124.studies.validation.bodies import surface_of_ball
 from support.liquids import CELLS, DENSITY, DX, LEVEL, TANK, G, block, liquid, pool
 from support.shapes import ball
 
@@ -291,6 +293,24 @@ def test_steps_resolve_the_vibration_of_a_body_below_a_liquid():
     clock = solver.liquid.clock
     assert 0.02 < clock.period < 0.1
     assert solver.liquid.clock.last_dt <= clock.period / 4
+
+
+def test_vibration_depends_on_the_size_of_each_body():
+    soft = {"law": "neo_hookean", "E": 2e4, "nu": 0.3, "density": 1500, "damping": 10}
+    shape = {"shape": "box", "sides": [1, 1, 0.5], "material": soft}
+    large = {**shape, "name": "large", "sides": [1, 1, 1], "size": 0.5, "place": [-1, 0]}
+    small = {**shape, "name": "small", "size": 0.3, "place": [1, 0]}
+    inside = {"lower": [-1.4, -0.7, 0], "upper": [1.4, 0.7, 1e9]}
+    data = {"material": {"law": "fluid"}, "accuracy": {"cells": 8, "solver": "mpm"}}
+    data["boundaries"] = [{"kind": "ground"}, {"kind": "container", "inside": inside}]
+    periods = []
+    for objects in ([large, small], [small, large]):
+        scene = Scene.from_data({**data, "forces": [{"kind": "gravity"}], "objects": objects})
+        simulation = Simulation(prepare(surface_of_ball(100), scene, RunContext(threads=1)))
+        for _ in range(4):
+            simulation.step()
+        periods.append(simulation.solver.bodies.period)
+    assert periods[0] == pytest.approx(periods[1], rel=1e-2)
 
 
 @pytest.mark.parametrize(("density", "short"), [(0.04, True), (0.06, False)])

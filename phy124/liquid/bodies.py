@@ -99,6 +99,8 @@ class Bodies(Kept):
         """Outward shift of each body's surface, which makes the enclosed volume equal to the body's
         volume [cells].
         """
+        self._sizes = np.zeros(model.bodies)
+        """Volume of each body in this step [cells]."""
         self.limit = 0.0
         """Largest acceleration of a body's particle by the pressure of the liquid [m/s^2]."""
         self._kick, self._pull = 0.0, np.zeros(3)
@@ -236,6 +238,7 @@ class Bodies(Kept):
         inputs = [cells.window, box, self._level, self._vacant]
         self._launch(shapes.make_body_volume(real), count, inputs, [self._volumes])
         volume, inside, slope = np.asarray(self._volumes.numpy(), np.float64).tolist()
+        self._sizes[body] = volume
         if volume > 0:
             shift += (volume - inside) / max(slope, 0.1 * float(volume ** (2 / 3)))
             self._shifts[body] = min(max(shift, -MOST), MOST)
@@ -394,10 +397,10 @@ class Bodies(Kept):
         """
         _, rims, areas = np.asarray(self._rims.numpy(), np.float64).T
         dry = (areas > 0) & (rims < 2 * np.sqrt(areas))
-        body, volume = self.numbers[index], float(self._volumes.numpy()[0])
+        body = self.numbers[index]
         if body in self._model.held or not dry.any():
             return math.inf
-        height = self._model.dx * volume / areas[dry].max()
+        height = self._model.dx * self._sizes[body] / areas[dry].max()
         return 4 * float(height) / _wave_speed(self._model, body)
 
     def push_out(self, cells: Cells, walls: Walls, model: Model, x: Any) -> wp.Launch | None:
