@@ -23,6 +23,7 @@ from phy124.simulation import Simulation, prepare
 from phy124.studies.validation.bodies import make_solver
 from support.runs import resumed
 from support.shapes import ball
+from support.solids import coarse
 
 COUNTS = (2, 3, 4, 7, 16)
 DX = 1 / 16
@@ -156,9 +157,9 @@ SCENE = {"accuracy": {"cells": 10}, "time.frames": 5}
 @pytest.fixture(scope="module")
 def whole():
     """The clip of a run with three threads."""
-    return Simulation(
-        prepare(ball(600), Scene.named("wind").replaced(SCENE), RunContext(threads=3))
-    ).run()
+    with coarse():  # also in the tests that compare their runs with it
+        setup = prepare(ball(600), Scene.named("wind").replaced(SCENE), RunContext(threads=3))
+        yield Simulation(setup).run()
 
 
 @pytest.mark.parametrize(
