@@ -133,12 +133,14 @@ def test_a_push_takes_the_place_of_the_one_before_it_of_its_name():
         run.push((60, 0, 0), seconds=10, name="tool")
         run.step()
     run.push((0, 0, 0), name="tool")
-    start, *_, last = [run.step() and run.centre for _ in range(4)]
+    frames = [run.step()]
+    start = run.centre
+    frames += [run.step() for _ in range(3)]
     # It has acted for four frames, once at a time.
-    speed = (last - start)[0] / 3 * 24
+    speed = (run.centre - start)[0] / 3 * 24
     assert speed == pytest.approx(60 * 4 / 24 / run.limits.mass, rel=1e-3)
     assert len(run.session().forces) == 5
-    assert np.array_equal(run.clip().means[-1], run._frame.gaussians.means)
+    assert np.array_equal(run.clip().means[-1], frames[-1].gaussians.means)
 
 
 def test_gravity_changes_at_once_and_a_wall_moves_at_hand_speed():
@@ -162,6 +164,21 @@ def test_the_wrench_on_the_ground_is_the_weight_of_what_rests():
     down = [run.step() and run.contacts()["ground"].force[2] for _ in range(40)]
     swings = np.average(down[10:], weights=np.hanning(32)[1:-1])  # whole swings or not
     assert swings == pytest.approx(-run.limits.weight, rel=0.02)
+
+
+def test_contacts_before_the_first_frame_are_empty():
+    run = live(**{"object.lift": 0.0})
+    assert run.contacts() == {}
+    run.step()
+    assert run.contacts()
+    run.reset()
+    assert run.contacts() == {}
+
+
+def test_live_run_keeps_only_the_poses_that_it_draws():
+    run = live()
+    list(run.frames(5))
+    assert len(run._run.poses) <= 2
 
 
 def test_a_frame_that_fails_drops_the_inputs_and_goes_on(monkeypatch):

@@ -3,6 +3,7 @@ import pytest
 from PIL import Image
 
 from phy124.errors import InputError
+from phy124.imaging.painted import Canvas
 from phy124.materials import FixedCorotated, NeoHookean
 from phy124.scene import Part, Scene
 from phy124.schema.region import Region
@@ -14,17 +15,18 @@ from support.shapes import ball
 pytestmark = pytest.mark.usefixtures("coarse_solids")
 
 GRID = np.stack(np.meshgrid(*[np.linspace(-0.5, 0.5, 8)] * 3), axis=-1).reshape(-1, 3)
+FRONT = Canvas.of(GRID)
 NOBODY = np.full(len(GRID), -1)
 
 
 def test_a_region_picks_what_lies_in_it():
     part = Part(region=Region(upper=(0, 9, 9)))
-    assert np.array_equal(assign(GRID, NOBODY, [part]) == 1, GRID[:, 0] <= 0)
+    assert np.array_equal(assign(GRID, NOBODY, [part], FRONT) == 1, GRID[:, 0] <= 0)
 
 
 def test_later_parts_win():
     parts = [Part(region=Region()), Part(region=Region(lower=(0, -9, -9)))]
-    assert np.array_equal(assign(GRID, NOBODY, parts), np.where(GRID[:, 0] >= 0, 2, 1))
+    assert np.array_equal(assign(GRID, NOBODY, parts, FRONT), np.where(GRID[:, 0] >= 0, 2, 1))
 
 
 def test_a_mask_is_seen_from_the_front(tmp_path):
@@ -33,20 +35,20 @@ def test_a_mask_is_seen_from_the_front(tmp_path):
     mask[:40, 40:] = 255
     Image.fromarray(mask).save(tmp_path / "m.png")
     part = Part(mask=str(tmp_path / "m.png"))
-    chosen = assign(GRID, NOBODY, [part], (0.25, 0.25, 0.75, 0.75)) == 1
+    chosen = assign(GRID, NOBODY, [part], Canvas.of(GRID, (0.25, 0.25, 0.75, 0.75))) == 1
     assert np.array_equal(chosen, (GRID[:, 1] > 0) & (GRID[:, 2] > 0))
 
 
 def test_gaussians_bring_the_fillers_near_them():
     gaussian = np.where(GRID[:, 0] > 0.3, 1, np.where(GRID[:, 0] < -0.3, 0, -1))
-    chosen = assign(GRID, gaussian, [Part(gaussians=(1, 2))])
+    chosen = assign(GRID, gaussian, [Part(gaussians=(1, 2))], FRONT)
     assert np.array_equal(chosen == 1, GRID[:, 0] > 0)
 
 
 def test_gaussians_that_ride_along_pick_what_is_near_them():
     means = np.array([[-0.5, 0, 0], [0.5, 0, 0]])
     part = Part(gaussians=(1, 2), material=FixedCorotated(E=1e5))
-    chosen = assign(GRID, NOBODY, [part], means=means)
+    chosen = assign(GRID, NOBODY, [part], FRONT, means)
     assert np.array_equal(chosen == 1, GRID[:, 0] > 0)
     scene = Scene(parts=(part.model_copy(update={"gaussians": (0, 100)}),), binding="lattice")
     coarse = scene.replaced({"accuracy": {"cells": 8}, "time.frames": 1})
@@ -57,9 +59,9 @@ def test_refusals(tmp_path):
     with pytest.raises(InputError, match="a part needs a region, a mask or gaussians"):
         Scene.from_data({"parts": [{"material": {"law": "neo_hookean"}}]})
     with pytest.raises(InputError, match="it holds no particle"):
-        assign(GRID, NOBODY, [Part(region=Region(lower=(5, 5, 5)))])
+        assign(GRID, NOBODY, [Part(region=Region(lower=(5, 5, 5)))], FRONT)
     with pytest.raises(InputError, match="There is no such file"):
-        assign(GRID, NOBODY, [Part(mask=str(tmp_path / "none.png"))])
+        assign(GRID, NOBODY, [Part(mask=str(tmp_path / "none.png"))], FRONT)
 
 
 def test_one_law_of_two_stiffnesses_is_one_launch():

@@ -43,6 +43,7 @@ from phy124.materials import FixedCorotated
 from phy124.monitor.watchdog import Watchdog
 from phy124.mpm import Stage
 from phy124.scene import Part, Scene
+from phy124.scene.objects import SceneObject
 from phy124.scene.reference import format_reference, format_schema
 from phy124.schema import plugins
 from phy124.schema.declaration import read_declaration
@@ -163,6 +164,12 @@ def test_scene_with_unnamed_plugins_is_not_written():
 def test_plugin_material_survives_scene_changes():
     scene = Scene(parts=(Part(gaussians=(0, 100), material=Rubber()),)).replaced(QUICK)
     assert isinstance(scene.parts[0].material, Rubber)
+
+
+def test_plugin_material_in_a_part_of_a_further_object_survives():
+    part = Part(gaussians=(0, 100), material=Rubber())
+    scene = Scene(objects=(SceneObject(name="b", shape="box", parts=(part,)),)).replaced(QUICK)
+    assert isinstance(scene.objects[0].parts[0].material, Rubber)
 
 
 def test_interrupted_run_with_own_classes_leaves_no_pause(tmp_path):

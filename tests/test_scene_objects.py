@@ -84,6 +84,13 @@ def run(few_gaussians) -> Simulation:
         ({"objects": [{**BOX, "picture": "a.png"}]}, "box has picture and shape. Give one of them"),
         ({"pairs": [{"between": ["object", "cat"]}]}, "no object is called cat. There are object"),
         ({"pairs": [{"between": ["object", "object"]}]}, "`between` names object twice"),
+        (
+            {
+                "objects": [{**BOX, "motion": {"kind": "free"}}],
+                "pairs": [{"between": ["box", "object"]}],
+            },
+            "moved shape box is the same with every object. Use between = ['box', 'any']",
+        ),
         ({"pairs": [{}, {"friction": 0}]}, "two entries of `pairs` are for any and any"),
         ({"forces": [{"kind": "gravity", "object": "cat"}]}, "no object is called cat"),
     ],

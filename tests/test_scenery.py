@@ -9,6 +9,7 @@ from PIL import Image
 from phy124.budget.effects import Effects
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
+from phy124.imaging.painted import Canvas
 from phy124.particles import make_particles
 from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
@@ -137,7 +138,7 @@ def test_all_ways_to_pick_them_and_later_parts_win(tmp_path):
     ]
     scene = drop({"parts": picked})
     particles = make_particles(gaussians, density=1000.0, spacing=0.1, binding="particles")
-    result, moves = assign_materials(particles, gaussians.means, scene)
+    result, moves = assign_materials(particles, gaussians.means, scene, Canvas.of(gaussians.means))
     right = gaussians.means[:, 1] > (gaussians.means[:, 1].min() + gaussians.means[:, 1].max()) / 2
     expected = ~right
     expected[20:25], expected[:10] = False, True

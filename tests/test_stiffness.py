@@ -5,7 +5,7 @@ import pytest
 from PIL import Image
 
 from phy124.errors import InputError
-from phy124.imaging.painted import WHOLE
+from phy124.imaging.painted import Canvas
 from phy124.materials import Fluid, NeoHookean, Plasticine, Rigid
 from phy124.properties.stiffness import Gradient, Picture
 from phy124.scene import Scene
@@ -29,7 +29,7 @@ def test_halves_in_series_add_their_compliances():
 def test_a_linear_gradient_stretches_by_a_logarithm():
     """Small strains: sigma L / (E (b - a)) log(b / a) for a stiffness from a E to b E."""
     field = Gradient(first=1.0, last=0.2)
-    first, last = pulled(field.fractions(bar(), np.zeros((1, 3)), WHOLE))
+    first, last = pulled(field.fractions(bar(), bar(), Canvas.of(bar())))
     # The shares are 1 and 0.2 at the outermost particles.
     inner = 1 - DX / 2
     slope = -0.8 / inner
@@ -84,7 +84,7 @@ def test_a_picture_says_how_stiff(tmp_path):
     )
     x = np.stack([np.zeros(5), np.linspace(-1, 1, 5), [0, 1, 0, 1, 0]], axis=1)
     field = Picture(file=str(tmp_path / "grey.png"), black=0.2, white=1.0)
-    assert field.fractions(x, x, WHOLE) == pytest.approx(np.linspace(0.2, 1, 5), abs=0.01)
+    assert field.fractions(x, x, Canvas.of(x)) == pytest.approx(np.linspace(0.2, 1, 5), abs=0.01)
 
 
 def test_the_soft_end_gives_way_more_and_the_report_says_so():
@@ -139,3 +139,30 @@ def test_mistakes_in_a_scene_are_named_where_they_are(changes, message):
 
 def test_laws_say_what_scales():
     assert (Fluid.scaled, Rigid.scaled, NeoHookean.scaled, Plasticine.scaled) == (0, 0, 2, 2)
+
+
+def fractions_by_height(tmp_path, **changes) -> tuple[np.ndarray, np.ndarray]:
+    """Return the heights of a ball's particles relative to its centre, and their fractions of E.
+
+    A picture makes the upper half of the upright ball stiff.
+    """
+    Image.fromarray(np.repeat([[255], [0]], 2, axis=1).astype(np.uint8)).save(tmp_path / "half.png")
+    stiffness = {"kind": "picture", "file": str(tmp_path / "half.png")}
+    scene = Scene.named("drop").replaced(
+        {"stiffness": stiffness, "accuracy": {"cells": 8}, "binding": "particles", **changes}
+    )
+    setup = prepare(ball(600), scene)
+    x = setup.particles.x[:, 2]
+    return x - setup.gaussians.means[:, 2].mean(), setup.stiffness
+
+
+def test_a_static_part_does_not_shift_painted_stiffness(tmp_path):
+    below = {"static": True, "region": {"upper": [9.0, 9.0, 0.5]}}
+    z, fraction = fractions_by_height(tmp_path, parts=[below], **{"object.lift": 0.0})
+    assert z.min() > -0.1, "the lower half does not move"
+    assert (fraction[z > 0.05] == 1.0).all()
+
+
+def test_painted_stiffness_turns_with_the_object(tmp_path):
+    z, fraction = fractions_by_height(tmp_path, **{"object.turn": [180.0, 0.0, 0.0]})
+    assert (fraction[z > 0.05] == pytest.approx(0.1)) and (fraction[z < -0.05] == 1.0).all()

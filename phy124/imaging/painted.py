@@ -1,5 +1,8 @@
 """Samples a grey image that a user painted over an object's image."""
 
+from __future__ import annotations
+
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -13,15 +16,34 @@ WHOLE: Crop = (0.0, 0.0, 1.0, 1.0)
 """Left, top, right and bottom of the object in its image, as fractions of width and height."""
 
 
-def sample_brightness(
-    x: NDArray, path: Path, crop: Crop = WHOLE, *, field: str
-) -> NDArray[np.float64]:
+@dataclass(frozen=True)
+class Canvas:
+    """The front of an object, over which images are painted."""
+
+    axes: NDArray[np.float64]
+    """Rotation [3,3] from the object that is upright and faces +x to the object in the scene."""
+    low: NDArray[np.float64]
+    """Lowest corner of the upright object's box [3], m."""
+    high: NDArray[np.float64]
+    """Highest corner of the upright object's box [3], m."""
+    crop: Crop
+    """Position of the object within the image."""
+
+    @classmethod
+    def of(cls, x: NDArray, crop: Crop = WHOLE, axes: NDArray | None = None) -> Canvas:
+        """Return the canvas of an object with the points x [P,3], m."""
+        axes = np.eye(3) if axes is None else axes
+        upright = x @ axes
+        return cls(axes, upright.min(axis=0), upright.max(axis=0), crop)
+
+
+def sample_brightness(x: NDArray, path: Path, canvas: Canvas, *, field: str) -> NDArray[np.float64]:
     """Return the brightness [P] at points seen from the front: 0 is black, 1 is white.
 
     Args:
-        x: Points at rest [P,3], m; the object is upright and faces +x.
+        x: Points at rest in the scene [P,3], m.
         path: The image; its colours are converted to grey.
-        crop: Position of the object within the image.
+        canvas: The object over which the image is painted.
         field: Name of the image in messages.
 
     Raises:
@@ -29,10 +51,10 @@ def sample_brightness(
     """
     opened = open_mask(path, field=field, minimum=1)
     grey = np.asarray(opened.convert("L"), dtype=np.float64) / 255
-    low, high = x.min(axis=0), x.max(axis=0)
+    x, low, high = x @ canvas.axes, canvas.low, canvas.high
     across = (x[:, 1] - low[1]) / max(high[1] - low[1], 1e-12)
     down = (high[2] - x[:, 2]) / max(high[2] - low[2], 1e-12)
-    left, top, right, bottom = crop
+    left, top, right, bottom = canvas.crop
     column = (left + across * (right - left)) * grey.shape[1]
     row = (top + down * (bottom - top)) * grey.shape[0]
     i = np.clip(row.astype(int), 0, grey.shape[0] - 1)

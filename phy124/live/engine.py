@@ -108,6 +108,7 @@ class Live:
         self._touched = False
         """Whether an input has acted since the start."""
         self._kept: list[tuple[float, dict[str, Any]]] = []
+        self._wrenches: dict[str, Wrench] = {}
         self._limit_substeps()
 
     @property
@@ -184,7 +185,7 @@ class Live:
             )
             self.reset()
             frame = self._run.step()
-        self._frame = frame
+        self._wrenches = frame.wrenches or {}
         if self._run.count % KEPT_EVERY == 0:
             self._kept = [*self._kept[-1:], (self.time, self._run.snapshot())]
         return frame
@@ -355,8 +356,11 @@ class Live:
         self._offsets[wall] = self._note_change(*self.limits.place("move.to", to))
 
     def contacts(self) -> dict[str, Wrench]:
-        """Return the mean wrenches on walls and between bodies since the last frame [N, N m]."""
-        return dict(self._frame.wrenches or {})
+        """Return the mean wrenches on walls and between bodies since the last frame [N, N m].
+
+        The dictionary is empty before the first frame.
+        """
+        return dict(self._wrenches)
 
     @property
     def pairs(self) -> dict[str, str]:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from phy124.imaging.painted import Crop, sample_brightness
+from phy124.imaging.painted import Canvas, sample_brightness
 from phy124.mpm.tracks import Table
 from phy124.schema.bounds import FileName
 from phy124.schema.section import Section
@@ -23,13 +23,13 @@ Fraction = Annotated[float, Field(ge=MINIMUM, le=1)]
 class _Field(Section):
     """Base class of all stiffness fields."""
 
-    def fractions(self, x: NDArray, means: NDArray, crop: Crop) -> NDArray[np.float64]:
+    def fractions(self, x: NDArray, means: NDArray, canvas: Canvas) -> NDArray[np.float64]:
         """Return the fraction of E at each particle [P].
 
         Args:
             x: Particles at rest [P,3], m.
             means: Centres of the object's Gaussians [N,3], m.
-            crop: Position of the object in the image from which the object was made.
+            canvas: The front of the object, over which pictures are painted.
 
         Raises:
             InputError: If a file cannot be used.
@@ -48,12 +48,13 @@ class Gradient(_Field):
     last: Fraction = 0.1
     """Fraction of E at the highest end of the axis."""
 
-    def fractions(self, x: NDArray, means: NDArray, crop: Crop) -> NDArray[np.float64]:
+    def fractions(self, x: NDArray, means: NDArray, canvas: Canvas) -> NDArray[np.float64]:
         """Return the fraction of E at each particle [P]; it varies linearly along an axis of the
         object.
         """
-        along = np.asarray(x, dtype=np.float64)[:, "xyz".index(self.axis)]
-        return np.interp(along, [along.min(), along.max()], [self.first, self.last])
+        axis = "xyz".index(self.axis)
+        ends = [means[:, axis].min(), means[:, axis].max()]
+        return np.interp(x[:, axis].astype(np.float64), ends, [self.first, self.last])
 
 
 class Picture(_Field):
@@ -67,11 +68,11 @@ class Picture(_Field):
     white: Fraction = 1.0
     """Fraction of E at white pixels."""
 
-    def fractions(self, x: NDArray, means: NDArray, crop: Crop) -> NDArray[np.float64]:
+    def fractions(self, x: NDArray, means: NDArray, canvas: Canvas) -> NDArray[np.float64]:
         """Return the fraction of E at each particle [P]; it is linear in the grey value of the
         picture.
         """
-        grey = sample_brightness(x, self.file, crop, field="stiffness.file")
+        grey = sample_brightness(x, self.file, canvas, field="stiffness.file")
         return self.black + grey * (self.white - self.black)
 
 

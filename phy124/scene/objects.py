@@ -221,11 +221,17 @@ def check_free(objects: Sequence[Object], boundaries: Sequence[Any]) -> None:
             )
 
 
-def check_pairs(pairs: Sequence[Pair], names: Sequence[str]) -> None:
+def check_pairs(pairs: Sequence[Pair], names: Sequence[str], solids: Sequence[str]) -> None:
     """Check that each pair of objects is declared at most once.
 
+    Args:
+        pairs: The declared pairs.
+        names: Names of all objects.
+        solids: Names of the moved shapes, whose contact is the same with every object.
+
     Raises:
-        ValueError: A name is unknown, or two entries declare the same pair.
+        ValueError: A name is unknown, two entries declare the same pair, or an entry is for a moved
+            shape and a single object.
     """
     seen: set[frozenset[str]] = set()
     for pair in pairs:
@@ -234,6 +240,12 @@ def check_pairs(pairs: Sequence[Pair], names: Sequence[str]) -> None:
             check_name(name, names)
         if len(two) == 1 and ANY not in two:
             raise ValueError(f"`between` names {pair.between[0]} twice; name two different objects")
+        if ANY not in two and not two.isdisjoint(solids):
+            solid = next(name for name in pair.between if name in solids)
+            raise ValueError(
+                f"`between` is {list(pair.between)}, but the contact of the moved shape {solid} is "
+                f"the same with every object; use between = {[solid, ANY]}"
+            )
         if two in seen:
             about = " and ".join(pair.between)
             raise ValueError(f"two entries of `pairs` are for {about}; remove one")

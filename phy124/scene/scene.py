@@ -122,7 +122,8 @@ class Scene(Section):
         check_transfer(self.resolution)
         self._check_energy()
         check_free(self.every_object, self.boundaries)
-        check_pairs(self.pairs, self.names)
+        solids = [item.name for item in self.objects if item.motion is not None]
+        check_pairs(self.pairs, self.names, solids)
         moving = [item.name for item in self.every_object if not item.scenery]
         solids = [item.name for item in self.every_object if item.scenery]
         for section in (*self.forces, *self.boundaries):
@@ -405,9 +406,11 @@ class Scene(Section):
         # Instances of users' classes are kept, because the class may have no name in plain data.
         if LAWS.is_foreign(self.material):
             data["material"] = self.material
-        of_objects = zip(self.objects, data.get("objects", []), strict=True)
-        of_parts = zip(self.parts, data["parts"], strict=True)
-        for section, plain in (*of_objects, *of_parts):
+        of_objects = list(zip(self.objects, data.get("objects", []), strict=True))
+        of_parts = [(self.parts, data["parts"])]
+        of_parts += [(item.parts, plain["parts"]) for item, plain in of_objects]
+        parts = [pair for both in of_parts for pair in zip(*both, strict=True)]
+        for section, plain in (*of_objects, *parts):
             if LAWS.is_foreign(section.material):
                 plain["material"] = section.material
         for name, kinds in (("forces", FORCES), ("boundaries", BOUNDARIES)):

@@ -21,7 +21,7 @@ from phy124.boundaries.planes import Plane
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians, as_objects, quaternions
 from phy124.generators.shapes import make_shape
-from phy124.imaging.painted import WHOLE, Crop
+from phy124.imaging.painted import WHOLE, Canvas, Crop
 from phy124.io.axes import euler
 from phy124.lattice.refusals import refuse_for_lattice
 from phy124.materials import AnyMaterial
@@ -258,14 +258,15 @@ def _with_particles(placed: Placed, spacing: float) -> Body:
             alone, interior, density=scene.material.density, spacing=spacing, binding=scene.binding
         )
     particles = number_among_all(particles, belonging)
-    particles, moves = assign_materials(particles, gaussians.means, scene, placed.crop)
+    canvas = Canvas.of(alone.means, placed.crop, euler(scene.object.turn))
+    particles, moves = assign_materials(particles, gaussians.means, scene, canvas)
     particles, materials, stiffness = vary_materials(
         particles,
         scene,
         gaussians.means,
         survivors=placed.cleaned.survivors,
         belonging=belonging,
-        crop=placed.crop,
+        canvas=canvas,
     )
     if points is not None:
         refuse_for_lattice(scene, materials)

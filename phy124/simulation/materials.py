@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pydantic import TypeAdapter, ValidationError
 
 from phy124.errors import InputError
-from phy124.imaging.painted import WHOLE, Crop, sample_brightness
+from phy124.imaging.painted import Canvas, sample_brightness
 from phy124.materials import AnyMaterial
 from phy124.particles import Particles
 from phy124.properties import COLUMNS, FRACTION
@@ -25,16 +25,16 @@ def assign(
     x: NDArray,
     gaussian: NDArray,
     parts: Sequence[Part],
-    crop: Crop = WHOLE,
+    canvas: Canvas,
     means: NDArray | None = None,
 ) -> NDArray[np.int32]:
     """Return the material index of each particle [P]: 0 for the scene's material, i for part i.
 
     Args:
-        x: Positions at rest [P,3], m; the object is upright and faces +x.
+        x: Positions at rest [P,3], m.
         gaussian: Index of each particle's Gaussian [P]; -1: the nearest Gaussian is used.
         parts: The scene's parts.
-        crop: Position of the object in its picture.
+        canvas: The front of the object, over which pictures are painted.
         means: Centres of the Gaussians [N,3], m; needed only for particles without a Gaussian.
 
     Raises:
@@ -52,7 +52,9 @@ def assign(
         if part.gaussians is not None:
             inside &= _belong_to(x, gaussian, part.gaussians, means)
         if part.mask is not None:
-            inside &= sample_brightness(x, part.mask, crop, field=f"parts.{number - 1}.mask") > 0.5
+            inside &= (
+                sample_brightness(x, part.mask, canvas, field=f"parts.{number - 1}.mask") > 0.5
+            )
         if not inside.any() and not part.surroundings:
             remedy = "Choose a larger region, another mask or other Gaussians."
             raise InputError(
@@ -63,7 +65,7 @@ def assign(
 
 
 def assign_materials(
-    particles: Particles, means: NDArray, scene: Scene, crop: Crop = WHOLE
+    particles: Particles, means: NDArray, scene: Scene, canvas: Canvas
 ) -> tuple[Particles, NDArray[np.bool_]]:
     """Return the particles with their parts' materials, and the mask of the moving Gaussians [N].
 
@@ -71,7 +73,7 @@ def assign_materials(
         particles: Particles of all Gaussians, including static Gaussians.
         means: The Gaussians at rest [N,3], m.
         scene: The scene, with its parts.
-        crop: Position of the object in its picture.
+        canvas: The front of the object, over which pictures are painted.
 
     Returns:
         The moving particles, sorted by law, with indices into the moving Gaussians; and the mask.
@@ -82,11 +84,11 @@ def assign_materials(
     every = np.ones(len(means), bool)
     if not scene.parts:
         return particles, every
-    part = assign(particles.x, particles.gaussian, scene.parts, crop, means)
+    part = assign(particles.x, particles.gaussian, scene.parts, canvas, means)
     static = np.array([False, *(section.static for section in scene.parts)])
     moves = every
     if static.any():
-        seen = assign(means, np.arange(len(means)), scene.parts, crop)
+        seen = assign(means, np.arange(len(means)), scene.parts, canvas)
         bound = particles.gaussian >= 0
         # A Gaussian and its particle must have the same material. Filler particles may extend a
         # mask.
@@ -139,7 +141,7 @@ def vary_materials(
     *,
     survivors: NDArray[np.bool_] | None,
     belonging: NDArray[np.bool_],
-    crop: Crop,
+    canvas: Canvas,
 ) -> tuple[Particles, Sequence[AnyMaterial], NDArray[np.float64] | None]:
     """Apply the scene's properties file and stiffness. Return the particles, their materials, and
     the fraction of E for each particle [P] or None.
@@ -150,7 +152,7 @@ def vary_materials(
         means: All Gaussians at rest [N,3], m.
         survivors: Mask of the Gaussians that cleaning kept; None: all were kept.
         belonging: Mask of the object's Gaussians, without its surroundings [N].
-        crop: Position of the object in its picture.
+        canvas: The front of the object, over which pictures are painted.
 
     Raises:
         InputError: Properties or stiffness cannot be used for these materials.
@@ -158,14 +160,16 @@ def vary_materials(
     materials: Sequence[AnyMaterial] = scene.materials
     listed = None
     if scene.properties is not None:
-        columns = scene.properties.columns(particles.x, means, survivors, belonging)
+        # The file describes the object before it is rotated in the scene.
+        upright, centres = particles.x @ canvas.axes, means @ canvas.axes
+        columns = scene.properties.columns(upright, centres, survivors, belonging)
         listed = columns.pop(FRACTION, None)
         particles, materials, order = with_properties(particles, columns, materials)
         listed = None if listed is None else listed[order]
     return (
         particles,
         materials,
-        stiffness_fractions(particles, means[belonging], scene, crop, listed),
+        stiffness_fractions(particles, means[belonging], scene, canvas, listed),
     )
 
 
@@ -257,7 +261,7 @@ def stiffness_fractions(
     particles: Particles,
     means: NDArray,
     scene: Scene,
-    crop: Crop = WHOLE,
+    canvas: Canvas,
     listed: NDArray[np.float64] | None = None,
 ) -> NDArray[np.float64] | None:
     """Return each particle's fraction of the material's E [P]; None if all fractions are 1.
@@ -266,7 +270,7 @@ def stiffness_fractions(
         particles: The particles that move.
         means: The object's Gaussians [N,3], m.
         scene: The scene, with its stiffness and materials.
-        crop: Position of the object in its picture.
+        canvas: The front of the object, over which pictures are painted.
         listed: Fractions [P] from a properties file, multiplied by those of the stiffness.
 
     Raises:
@@ -282,7 +286,7 @@ def stiffness_fractions(
         raise InputError(field, kind, limit, f"Use another law, or remove {kind}.")
     fractions = np.ones(len(particles)) if listed is None else listed
     if scene.stiffness is not None:
-        fractions = fractions * scene.stiffness.fractions(particles.x, means, crop)
+        fractions = fractions * scene.stiffness.fractions(particles.x, means, canvas)
     for section in varying:
         _refuse_too_soft(section, float(fractions.min()))
     return fractions

@@ -294,6 +294,8 @@ class Simulation:
             for observer in self.observers:
                 frame = observer.after_frame(frame)
         with stage("deform"):
+            if not setup.keep:
+                del self.poses[1:]
             self.poses.append(self.solver.free.poses())
             if self.light:
                 frame = replace(frame, gaussians=setup.shown.select(np.zeros(0, int)))
