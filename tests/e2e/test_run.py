@@ -206,7 +206,7 @@ def test_cancel_frees_the_device_and_the_next_job_runs(visit, server):
     assert visit.complaints == []
 
 
-def test_the_earlier_result_returns_after_cancel(visit):
+def test_the_earlier_result_returns_after_no_result(visit):
     page = visit.page
     visit.upload()
     visit.choose(frames=2)
@@ -225,6 +225,13 @@ def test_the_earlier_result_returns_after_cancel(visit):
     visit.finished()
     page.wait_for_selector(".viewer-host:not(.growing) canvas")
     page.get_by_role("heading", name="Report").wait_for()
+    failed = {"state": "failed", "message": "It broke.", "elapsed": 1}
+    page.route("**/phy124/jobs/**", lambda route: route.fulfill(json=failed))
+    visit.choose(frames=3)
+    visit.generate()
+    page.get_by_text("It broke.").first.wait_for()
+    visit.finished()
+    page.wait_for_selector("#viewer .viewer-host canvas")
     assert visit.complaints == []
 
 
