@@ -323,6 +323,9 @@ def test_tar_files_hold_clips_beside_their_rows(made):
     assert len(names) == 8 and names[0] == f"{row['key']}.clip.safetensors" and row["index"] == 0
     pack(storage, 4)
     assert storage.read("archives/000000.tar") == first
+    (made / "archives/mine.tar").touch()
+    assert pack(storage, 6) == 1
+    assert storage.names("archives") == ["archives/000000.tar", "archives/mine.tar"]
 
 
 def test_the_report_has_a_picture_of_each_clip(made):

@@ -2,6 +2,7 @@
 
 import io
 import json
+import re
 import tarfile
 from collections.abc import Iterator
 from dataclasses import replace
@@ -58,19 +59,25 @@ class Dataset:
         return replace(clip, **arrays)
 
 
-NAME = "archives/{:06d}.tar"
+FOLDER = "archives"
+NAME = FOLDER + "/{:06d}.tar"
+NUMBERED = re.compile(FOLDER + r"/\d+\.tar")
 
 
 def pack(storage: Storage, per_file: int) -> int:
     """Write all complete clips to tar files with at most `per_file` clips; return their number.
 
     Each clip is stored as two files: KEY.clip.safetensors, and KEY.json with its row of the
-    manifest.
+    manifest. Further numbered tar files, for example of a longer plan, are removed.
     """
     rows = [row for row in read_manifest(storage) if row["status"] == "done"]
     groups = [rows[start : start + per_file] for start in range(0, len(rows), per_file)]
-    for number, group in enumerate(groups):
-        storage.write(NAME.format(number), _pack(storage, group))
+    files = [NAME.format(number) for number in range(len(groups))]
+    for file, group in zip(files, groups, strict=True):
+        storage.write(file, _pack(storage, group))
+    for file in storage.names(FOLDER):
+        if NUMBERED.fullmatch(file) and file not in files:
+            storage.remove(file)
     return len(groups)
 
 

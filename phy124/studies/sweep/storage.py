@@ -67,6 +67,10 @@ class Storage:
         with replacing(path) as temporary:
             temporary.write_bytes(content)
 
+    def remove(self, name: str) -> None:
+        """Remove a file."""
+        self._files.rm_file(f"{self._root}/{name}")
+
     def refuse_unusable(self) -> None:
         """Raise InputError if the storage is a folder on this machine that cannot be written."""
         if self.here is not None:
