@@ -150,3 +150,15 @@ def test_held_lattice_pushes_another_lattice():
     assert report["balance"]["momentum_gain"] < 1e-4
     weight = 9.81 * DAMPED.density * 0.5**3 * 0.4
     assert report["pairs"]["table_on_plate"]["largest_force"] > 0.5 * weight
+
+
+def test_change_to_the_same_scene_keeps_the_balance():
+    setup = prepare(surface_of_ball(100), bury(), RunContext(threads=1), changes=True)
+    whole, changed = Simulation(setup), Simulation(setup)
+    for index in range(10):
+        whole.step()
+        if index > 4:
+            changed.change(setup.scene)
+        changed.step()
+    gains = [run.report()["balance"]["energy_gain"] for run in (whole, changed)]
+    assert gains[0] == pytest.approx(gains[1], abs=1e-9)

@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import warp as wp
 from numpy.typing import NDArray
 
 from phy124.boundaries import Boundary
@@ -18,7 +19,7 @@ from phy124.monitor.external_work import MEAN, ExternalWork
 from phy124.monitor.lattice import LatticeContacts, LatticePairs, LatticeTotals, LatticeWatchdog
 from phy124.monitor.observer import Effect, Observed, Observer, Subject
 from phy124.monitor.wrenches import Wrenches, simple_wall_names
-from phy124.mpm import Attachable, Clock
+from phy124.mpm import Attachable, Clock, Grid
 from phy124.scene import Scene
 
 if TYPE_CHECKING:
@@ -67,9 +68,15 @@ class CoupledWork(ExternalWork):
 
     def _read_impulses(self) -> None:
         """Keep the impulses of the previous walls, and sum the impulses of the new walls."""
-        if MEAN in self._device:
+        sums = self._solver.lattice.walls.sums
+        if self._device.get(MEAN, sums) is not sums:
             self._closed[MEAN] = self._closed[MEAN] + self._open(MEAN)
-        self._device[MEAN] = self._solver.lattice.walls.sums
+        self._device[MEAN] = sums
+
+    def _record_uniform(self, grid: Grid) -> wp.Launch | None:
+        # `CoupledSolver.bind` replaces the walls of the lattices before it records the launches.
+        self._read_impulses()
+        return super()._record_uniform(grid)
 
 
 class CoupledWrenches(Wrenches):
