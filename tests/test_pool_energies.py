@@ -168,3 +168,11 @@ def test_threads_and_varying_gravity_do_not_change_the_losses(solver):
         for name in ("lost", "forces", "projection", "density", "transfers"):
             assert other[name] == pytest.approx(whole[name], abs=3e-3 * whole["turnover"]), name
         assert other["exchange"]["object"] == pytest.approx(whole["exchange"]["object"], rel=1e-3)
+
+
+def test_resumed_run_under_varying_gravity_has_the_same_balance(tmp_path):
+    ramp = {"kind": "ramp", "first": 1.0, "last": 1.2, "duration": 0.5}
+    run = start("mpm", forces=[{"kind": "gravity", "profile": ramp}])
+    other = resumed(run, 4, tmp_path / "pause.safetensors")
+    balances = [each.run().report["balance"] for each in (run, other)]
+    assert balances[1]["energy_gain"] == pytest.approx(balances[0]["energy_gain"], rel=1e-9)

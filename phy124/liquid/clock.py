@@ -44,6 +44,8 @@ the liquid can follow. This would create energy.
 class LiquidClock(Clock):
     """A clock whose steps satisfy the limits for an incompressible liquid."""
 
+    kept = (*Clock.kept, "pull")
+
     acceleration = 0.0
     """Upper bound of the acceleration of the liquid by forces [m/s^2]."""
     pull: NDArray[np.float64] = np.zeros(3)
