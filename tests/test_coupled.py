@@ -162,3 +162,18 @@ def test_change_to_the_same_scene_keeps_the_balance():
         changed.step()
     gains = [run.report()["balance"]["energy_gain"] for run in (whole, changed)]
     assert gains[0] == pytest.approx(gains[1], abs=1e-9)
+
+
+def test_rejected_substep_lists_the_surface_points_again():
+    solid = block((0.3,) * 3, low=(0.6, 0.3, 0.3))
+    solver = make((6, 6, 6), (0.2, 0.2, 0.2), solid, v=[(0, 0, 0), (-1, 0, 0)])
+    solver.advance(0.02)
+    (material,) = solver.materials
+    material.due = True
+    material._near = material._near[:0]
+    before = solver._part.snapshot()
+    for _ in range(2):
+        solver._part.restore(before)
+        assert material.due
+        solver._scatter(0.0, solver.clock.last_dt)
+        assert len(material._near) > 0

@@ -28,7 +28,7 @@ from phy124.mpm.stage import Named
 class Material(Kept):
     """Contact of one body's surface points with one particle body."""
 
-    kept = ("force", "sums", "_near")
+    kept = ("force", "sums", "due", "_near")
 
     def __init__(
         self,
