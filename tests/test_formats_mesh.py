@@ -198,7 +198,7 @@ def test_export_moves_the_mesh_of_the_user(tmp_path, spun, capsys):
     assert document["accessors"][position]["count"] == len(sphere.vertices)
 
 
-@pytest.mark.usefixtures("in_this_process")
+@pytest.mark.usefixtures("in_this_process", "coarse_solids")
 @pytest.mark.parametrize("older", [False, True])
 def test_surface_has_the_pose_of_the_object(tmp_path, capsys, older):
     """An older clip states only the rotation, so its box determines scale and shift."""
