@@ -83,6 +83,15 @@ def test_read_clip_is_saved_as_it_was(saved, tmp_path):
     assert np.array_equal(Clip.load(path).means[-1], read.means[-1])
 
 
+def test_far_motion_of_a_single_carrier_is_saved(tmp_path):
+    held = [{"static": True, "gaussians": [1, 300]}]
+    scene = SCENE.replaced({"parts": held, "binding": "particles", "boundaries": []})
+    clip = Simulation(prepare(ball(300), scene)).run()
+    assert clip.motion is not None and len(clip.motion.carriers) == 1
+    clip.save(tmp_path / "clip")
+    np.testing.assert_allclose(Clip.load(tmp_path / "clip").means[-1], clip.means[-1], atol=1e-6)
+
+
 def test_damaged_motion_is_refused(saved):
     _, path = saved
     data = bytearray(path.read_bytes())

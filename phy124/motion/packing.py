@@ -17,15 +17,17 @@ from numpy.typing import NDArray
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians, Particles
 from phy124.motion.exposed import Exposed
-from phy124.motion.recorded import Motion
+from phy124.motion.recorded import Motion, Rows
 from phy124.runtime.memory import release, trim
 
 STEP_X = 2e-5
 """Positions of particles are rounded to multiples of at most this length, relative to the object's
-size.
+size, unless they move farther than 10,000 times this size.
 """
 STEP_F = 2.0**-10
 """Deformation gradients are rounded to multiples of this value."""
+LIMIT = 2.0**30
+"""Multiples of a step must be smaller, because their differences are stored in 32 bits."""
 FRAMES = 32
 """Number of frames that are packed together."""
 FAST = 1 << 20
@@ -62,23 +64,44 @@ def pack(motion: Motion) -> Packed:
     steps = {"x": 2.0 ** math.floor(math.log2(STEP_X * max(size, 1e-12))), "F": STEP_F}
     order = hilbert_order(rest)
     for name, rows in (("x", motion.x), ("F", motion.F)):
-        base, chunks = _base(name, rest), []
-        for start in range(0, len(rows), FRAMES):
-            part = [rows[i] for i in range(start, min(start + FRAMES, len(rows)))]
-            values = np.stack(part).reshape(len(part), len(rest), -1)
-            release(part[0])
-            whole = np.empty((values.shape[2], *values.shape[:2]), np.int32)
-            for k, column in enumerate(whole):
-                exact = np.rint((values[..., k] - base[:, k]) / steps[name])
-                if not (np.abs(exact) < 2**30).all():
-                    raise OverflowError(f"{name} is too large to be stored in a clip")
-                column[:] = exact[:, order]
-            chunks.append(_pack_steps(whole))
-            trim()  # Otherwise, the gaps between the chunks could not be reused.
+        chunks, steps[name] = _pack_rows(rows, _base(name, rest), steps[name], order)
         tensors[f"motion.{name}"], lengths = _join(chunks)
         arrays[name] = {"chunks": lengths}
     facts = {"arrays": arrays, "steps": steps, "frames": len(motion.x)}
     return tensors, {**facts, "on_tracks": list(motion.on_tracks), "free": list(motion.free)}
+
+
+def _pack_rows(
+    rows: Rows, base: NDArray[np.float64], step: float, order: NDArray[np.intp]
+) -> tuple[list[bytes], float]:
+    """Pack the values of particles in all frames, as differences from `base` [P,K].
+
+    Returns:
+        The chunks of bytes, and the step to whose multiples the values are rounded: `step`, or a
+        larger one if the multiples were too large for 32 bits.
+
+    Raises:
+        OverflowError: If a value is not finite.
+    """
+    chunks = []
+    for start in range(0, len(rows), FRAMES):
+        part = [rows[i] for i in range(start, min(start + FRAMES, len(rows)))]
+        values = np.stack(part).reshape(len(part), *base.shape)
+        release(part[0])
+        whole = np.empty((base.shape[1], *values.shape[:2]), np.int32)
+        for k in range(len(whole)):
+            exact = np.rint((values[..., k] - base[:, k]) / step)
+            largest = float(np.abs(exact).max(initial=0))
+            if not math.isfinite(largest):
+                raise OverflowError("a position or F is not finite, so no clip can store it")
+            if largest >= LIMIT:
+                return _pack_rows(
+                    rows, base, math.ldexp(step, math.frexp(largest / LIMIT)[1]), order
+                )
+            whole[k] = exact[:, order]
+        chunks.append(_pack_steps(whole))
+        trim()  # Otherwise, the gaps between the chunks could not be reused.
+    return chunks, step
 
 
 def unpack(tensors: Mapping[str, NDArray], facts: Mapping[str, Any], times: NDArray) -> Motion:
