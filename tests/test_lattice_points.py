@@ -15,7 +15,7 @@ from phy124.particles.lattice import PER_CELL, integration_points, surface_point
 from phy124.particles.solid import Solid, find_interior
 from phy124.studies.validation.bodies import fill_solid
 from support.lattices import DX, block, make, rod
-from support.plates import box_of_discs
+from support.solids import box_of_discs
 
 
 def test_full_cells_have_gauss_points():

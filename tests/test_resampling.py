@@ -5,8 +5,8 @@ import pytest
 
 from phy124.particles.resampling import average
 from phy124.particles.solid import find_interior
-from support.plates import box_of_discs, frame
 from support.shapes import ball
+from support.solids import box_of_discs, frame
 
 
 def bodies():

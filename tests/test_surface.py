@@ -8,7 +8,7 @@ from phy124.particles.lattice import integration_points
 from phy124.particles.solid import find_interior
 from phy124.particles.surface import THINNEST
 from support.lattices import DX
-from support.plates import box_of_discs, frame
+from support.solids import box_of_discs, frame
 
 SIDES = np.array([14.0, 4.0, 1.0]) * DX
 APART = 0.2 * DX

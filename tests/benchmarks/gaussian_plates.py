@@ -19,7 +19,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from phy124.particles.solid import find_interior
 from support.lattices import DX, E, Statics
-from support.plates import box_of_discs, frame
+from support.solids import box_of_discs, frame
 
 THICKNESSES = (0.3, 0.5, 1.0, 1.5, 2.0, 3.0)
 TURNS = ((0, 0), (20, 25), (35, 45))
