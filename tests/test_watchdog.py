@@ -436,6 +436,16 @@ def test_laws_that_may_stay_flat_say_so(law):
     assert not fast.notes() and not followed()[1].notes()
 
 
+def test_speed_of_a_failed_attempt_is_not_noted():
+    material = FixedCorotated(E=1e3, nu=0.3)
+    fast = np.tile([0, 0, 0.9 * material.sound_speed()], (216, 1))
+    s, watch = followed(material=material, v=fast)
+    s.advance(0.01, after=watch.after_substep)
+    assert "may stay squeezed flat" in " ".join(watch.notes())
+    watch.before_attempt(closely=True)
+    assert not watch.notes()
+
+
 @pytest.mark.parametrize(("packed", "noted"), [(-0.7, True), (-0.5, False)])
 def test_snow_denser_than_ice_is_noted(packed, noted):
     solver, watch = followed(material=Snow(density=400))

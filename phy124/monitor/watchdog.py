@@ -135,7 +135,9 @@ class Watchdog(Observer):
 
     def __init__(self) -> None:
         self.balance = Balance()
-        self._fastest, self._begun, self._closely = 0.0, False, False
+        self._begun, self._closely = False, False
+        self._fastest = self._attempted = 0.0
+        """Largest speeds so far and in the last attempt to compute a frame [m/s]."""
 
     @classmethod
     def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
@@ -163,7 +165,7 @@ class Watchdog(Observer):
         If `closely` is set, each substep is checked for non-finite particles, before they affect
         their neighbours.
         """
-        self._closely = closely
+        self._closely, self._attempted = closely, 0.0
         if not self._begun:
             # The balance does not start in `bind`, because the run may have been resumed after
             # `bind`.
@@ -185,12 +187,12 @@ class Watchdog(Observer):
         self._begun = False
 
     def after_substep(self) -> None:
-        """Store the largest speed so far.
+        """Store the largest speed in the attempt.
 
         Raises:
             Unstable: The attempt is checked closely, and the state of a particle is not finite.
         """
-        self._fastest = max(self._fastest, self.clock.recent.speed)
+        self._attempted = max(self._attempted, self.clock.recent.speed)
         if self._closely and (count := len(find_broken(self.state))):
             raise Unstable(f"{count} particles are NaN or infinite")
 
@@ -204,6 +206,11 @@ class Watchdog(Observer):
             self.last = now
             self.min_J, self.max_J = min(self.min_J, now.min_J), max(self.max_J, now.max_J)
         return problem
+
+    def after_frame(self, frame: Frame) -> Frame:
+        """Count the speeds of the last attempt, because its frame is valid."""
+        self._fastest = max(self._fastest, self._attempted)
+        return frame
 
     def diagnose(self, problem: str) -> Violation:
         """Return why the solver stopped, with a responsible particle."""
@@ -228,9 +235,10 @@ class Watchdog(Observer):
                 f"{self._solver.outliers.most} particles left the simulated space; they continued "
                 "on parabolas without contact."
             )
+        fastest = max(self._fastest, self._attempted)
         fragile = {m.device_law.name: m for m in self.model.materials if m.may_collapse}
         for name, material in sorted(fragile.items()):
-            mach = self._fastest / material.sound_speed()
+            mach = fastest / material.sound_speed()
             if mach > COLLAPSE:
                 notes.append(
                     f"Material of the law {name} moved at {mach:.1f} times its speed of sound. "
@@ -238,7 +246,7 @@ class Watchdog(Observer):
                     "squeezed flat without any other sign; neo_hookean does not."
                 )
         for material in self.model.materials:
-            notes += material.notes_at(self._fastest)
+            notes += material.notes_at(fastest)
         notes += self._notes_of_laws()
         if self.max_J > SWOLLEN and not any(m.disperses for m in self.model.materials):
             notes.append(
