@@ -256,6 +256,24 @@ def test_a_frame_that_fails_once_is_retried_from_its_start(monkeypatch):
     assert np.abs(clip.means - usual.means).max() < 1e-4
 
 
+def test_frame_cancelled_during_its_retry_is_listed_once(monkeypatch):
+    s = pushed()
+    advance, attempts = s.solver.advance, iter([Unstable("lost"), Cancelled(), Unstable("lost")])
+
+    def fail(until, **options):
+        for error in attempts:
+            raise error
+        advance(until, **options)
+
+    s.step()
+    monkeypatch.setattr(s.solver, "advance", fail)
+    with pytest.raises(Cancelled):
+        s.step()
+    s.restore(s.snapshot())
+    s.step()
+    assert s.retried == [1]
+
+
 def test_a_frame_that_fails_twice_stops_and_keeps_the_good_ones(tmp_path, monkeypatch):
     """Sabotage: particles lose their numbers in the third frame."""
     s = pushed()

@@ -399,9 +399,9 @@ class Simulation:
             run_timed(self.solver.timings, "watchdog", lambda: [each() for each in prepare])
             problem = self._try(index, until)
             if problem is not None:
-                self.retried.append(index)
                 with self._half_substep():
                     problem = self._try(index, until, closely=True)
+                self.retried.append(index)
             if problem is not None:
                 helpful = find_remedies(problem.causes, self.scene, until)
                 raise Stopped(f"frame {index} is not valid: {problem.what}.", helpful)
