@@ -65,6 +65,8 @@ def test_only_for_generators_that_use_one(tmp_path):
         chosen.bind(flat, "lgm")
     assert DepthMap().bind(flat, "lgm") is flat
     np.testing.assert_array_equal(chosen.bind(deep, "relief")(0, seed=0, progress=0), -RAMP)
+    with pytest.raises(InputError, match=r"near = black.*from a file"):
+        DepthMap(near="black").bind(deep, "relief")
 
 
 def test_errors_about_a_depth_map_name_its_file(tmp_path):

@@ -43,6 +43,11 @@ def test_a_generator_that_does_not_look_at_them_refuses_them(front):
             pipeline.make_gaussians(front, generator=generator, views=OtherViews(thickness=0.5))
 
 
+def test_a_direction_without_its_picture_is_refused(front):
+    with pytest.raises(InputError, match=r"facing = right.*from the side"):
+        pipeline.make_gaussians(front, views=OtherViews(facing="right"))
+
+
 def test_a_picture_that_cannot_be_used_is_named(front, tmp_path):
     empty = tmp_path / "empty.png"
     Image.new("RGB", (96, 96), "white").save(empty)

@@ -194,6 +194,13 @@ def test_boxes_stand_upright():
     assert level == pytest.approx(area[2] / area.sum(), abs=0.08)
 
 
+def test_thickness_and_back_look_do_not_change_the_kind_of_object():
+    whole, flat = (relief(cup(25), count=3000, thickness=t) for t in (1.0, 0.5))
+    np.testing.assert_allclose(flat.means, whole.means * [0.5, 1, 1], atol=1e-6)
+    with pytest.warns(UserWarning, match=r"back_look = plain.*no effect"):
+        relief(cup(25), count=3000, back_look="plain")
+
+
 def test_a_known_elevation_turns_the_object_upright():
     """The picture from this elevation stays the same."""
     plank = picture((abs(X - 96) < 30) & (abs(Y - 96) < 80))

@@ -54,8 +54,12 @@ class DepthMap(Section):
         """Return a generator that uses the depth map, or a network if the depth is to be estimated.
 
         Raises:
-            InputError: If the generator cannot use a depth map, or the file of the map is unusable.
+            InputError: If the generator cannot use a depth map, or the file of the map is unusable,
+                or `near` is given without a file.
         """
+        if self.path is None and self.near != "white":
+            limit = "It describes a depth map from a file, but there is none."
+            raise InputError("near", self.near, limit, "Set depth to the file, or remove near.")
         usable = "depth" in signature(generator).parameters
         if self.depth == "off":
             return generator
@@ -142,7 +146,8 @@ class OtherViews(Section):
     back_look: Literal["auto", "mirror", "plain"] = "auto"
     """Colours of the back if there is no picture of the back: mirror (the mirrored front, for an
     object seen from its side), plain (the materials of the front without its features) or auto
-    (plain if the outline is symmetric, otherwise mirror).
+    (plain if the outline is symmetric, otherwise mirror). It has no effect on vessels, rings,
+    boxes and tables that relief recognises.
     """
     thickness: float | None = Field(default=None, ge=0.05, le=4.0)
     """Factor by which the depth that relief guesses is multiplied, such as 0.6 for a flat fish."""
@@ -176,8 +181,12 @@ class OtherViews(Section):
             cut: Function that opens an option's image and removes the background.
 
         Raises:
-            InputError: If the generator does not support an input, or an image is unusable.
+            InputError: If the generator does not support an input, or an image is unusable, or
+                `facing` is given without `side`.
         """
+        if self.side is None and self.facing != "left":
+            limit = "It describes the picture from the side, but there is none."
+            raise InputError("facing", self.facing, limit, "Set side to it, or remove facing.")
         known = signature(generator).parameters
         options: dict[str, Any] = dict(self.pictures)
         choices = self.model_dump(exclude_defaults=True, exclude={*options, "facing"})

@@ -61,7 +61,8 @@ def relief(
         back: Image of the segmented object from behind.
         back_look: Look of the back without an image from behind. "mirror": the mirrored front;
             "plain": the materials of the front without its features; "auto": plain if the
-            silhouette is symmetric, otherwise mirrored.
+            silhouette is symmetric, otherwise mirrored. A warning says if it has no effect, because
+            the object is a vessel, a ring, a box or a table.
         thickness: Factor of the guessed depth; None: 1.
         shape: "round": as deep as its parts are wide; "upright": a solid of revolution with a
             vertical axis; "flat": a thin sheet; "auto": the most plausible of these, a slab or a

@@ -154,7 +154,7 @@ class Legs:
             deep = float(np.sqrt(max(surface.w[leg.part].max(), 0.0)))
             thick *= WHEEL if self.wheeled else 1.0
             away = max(0.0, deep - thick if self.wheeled else min(APART * deep, deep - thick))
-            flat = _flatten(shell, WHEEL) if self.wheeled else shell
+            flat = shell.scale_depth(WHEEL) if self.wheeled else shell
             near = 1 - away / view.distance
             # The near legs stand on the ground, and so does a leg that exists only on the far side.
             foot = max(leg.foot - view.middle[1], 1.0)
@@ -163,12 +163,6 @@ class Legs:
                 moved = _move(flat, near if 1 in leg.sides else far, side, away)
                 shells.append(_outside(moved, surface, view))
         return join(*shells)
-
-
-def _flatten(shell: Shell, factor: float) -> Shell:
-    normals = shell.normals / [1.0, 1.0, factor]
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    return replace(shell, points=shell.points * [1.0, 1.0, factor], normals=normals)
 
 
 def _move(shell: Shell, scale: float, side: int, away: float) -> Shell:

@@ -1,5 +1,7 @@
 """Converts points on the object's surface to a closed shell of flat Gaussians."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,6 +40,17 @@ class Shell:
     """Mean distance to the neighbours [N], pixels."""
     rgb: Field
     """Colours [N,3], 0..1."""
+
+    def scale_depth(self, factor: float) -> Shell:
+        """Multiply the depths of all points in front of and behind the object's centre."""
+        along = self.normals * [factor, factor, 1.0]
+        stretch = np.linalg.norm(along, axis=1)
+        return Shell(
+            self.points * [1.0, 1.0, factor],
+            along / stretch[:, None],
+            self.spacing * np.maximum(stretch, 1.0),
+            self.rgb,
+        )
 
     def gaussians(self) -> Gaussians:
         """Return the Gaussians in metres, in the world's axes."""

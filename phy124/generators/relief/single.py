@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from typing import Literal
 
@@ -65,6 +66,10 @@ depth of this change, relative to half the block's depth.
 Field = NDArray[np.float64]
 Shape = Literal["auto", "round", "upright", "flat"]
 Step = Callable[[int], None]
+RECOGNISED = (
+    "It has no effect, because the object was recognised as a vessel, a ring, a box or a table, "
+    "whose back follows from its shape. To inflate the silhouette instead, set shape = round."
+)
 FRONT, BACK, ACROSS = np.array([0.0, 0, 1]), np.array([0.0, 0, -1]), np.array([1.0, 0, 0])
 
 
@@ -100,7 +105,7 @@ def from_front(
     rgba = work_picture(picture, depth=depth)
     view = View.of(rgba[..., 3] > 0.5, VIEW_DISTANCE * WORK)
     legs = None
-    if depth is None and back is None and thickness == 1:
+    if depth is None and back is None:
         shell = None
         if shape in ("auto", "upright"):
             shell = _ring_shell(rgba, view, count, elevation)
@@ -113,8 +118,10 @@ def from_front(
             least = OVERLAP if legs is None else CLEAR
             shell = _table_shell(rgba, view, count, rng, elevation, least)
         if shell is not None:
+            if look != "auto":
+                warnings.warn(f"back_look = {look}: {RECOGNISED}", stacklevel=3)
             step(1)
-            return shell
+            return shell if thickness == 1 else shell.scale_depth(thickness)
     shell = _inflated_shell(
         continue_silhouette(rgba, PADDING) if legs is None else legs.trunk,
         count=count if legs is None else round(count * (1 - legs.share)),
