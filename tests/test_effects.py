@@ -7,6 +7,7 @@ from phy124.budget.effects import Effects
 from phy124.monitor.sleep import Sleep
 from phy124.scene import Scene, preset_names
 from phy124.simulation import Simulation, prepare
+from support.liquids import pool
 from support.shapes import ball
 
 pytestmark = pytest.mark.usefixtures("coarse_solids")
@@ -156,6 +157,13 @@ def test_checks_are_effects_with_a_cost():
     assert costs["measure"] > 0 and costs["external work"] > 0
     free = whys(Effects.of(Scene.named("spin")))
     assert "their work need not be summed" in free["balance of momentum and energy"]
+
+
+@pytest.mark.parametrize("solver", ["lattice", "mpm"])
+def test_stages_of_a_pool_include_those_of_its_liquid(solver):
+    scene = pool(time={"frames": 3, "fps": 24}).replaced({"accuracy.solver": solver})
+    stages = Simulation(prepare(ball(100), scene)).run().report["substep_stages"]
+    assert {"pressure", "snapshot"} < {stage["name"] for stage in stages}
 
 
 @pytest.mark.parametrize("gradient", ["affine", pytest.param("spline", marks=pytest.mark.slow)])

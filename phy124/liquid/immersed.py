@@ -126,6 +126,7 @@ class ImmersedSolver:
             advance_bodies=weakly(self._advance_bodies), whole=model,
         )  # fmt: skip
         self.liquid.pairs = self.pairs
+        self.liquid.within = self.timings
         self.clock.follow(self.liquid, model.total_mass)
         self._after: Callable[[], None] | None = None
         self._pushed: wp.array | None = None

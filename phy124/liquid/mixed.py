@@ -110,6 +110,7 @@ class MixedSolver(Solver):
             whole=model,
         )  # fmt: skip
         self._liquid.pairs = self.pairs
+        self._liquid.within = self.timings
         assert isinstance(self.clock, MixedClock)
         self.clock.follow(self._liquid, model.total_mass)
         self._after: Callable[[], None] | None = None

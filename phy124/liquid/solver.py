@@ -1,5 +1,6 @@
 """Solver of a liquid, with the interface of `phy124.mpm.Solver`. All particles are liquid."""
 
+import itertools
 import math
 import time
 from collections.abc import Callable, Sequence
@@ -118,6 +119,8 @@ class LiquidSolver(Kept):
         self._missed = wp.zeros((count, 1), dtype=int, device=model.device)
         self.cells = Cells(model, count)
         self._bodies, self._advance_bodies = bodies, advance_bodies
+        self.within: Timings = {}
+        """Timings of the bodies' substeps, which are a part of the liquid's steps."""
         self.bounds: StepRejection | None = None
         """Bounds of the forces on particles in the bodies' substeps."""
         solids = len(free) + (len(bodies.numbers) if bodies else 0)
@@ -343,7 +346,8 @@ class LiquidSolver(Kept):
         self._phases.pushes.restore(snapshot["pushes"])
 
     def _seconds(self) -> float:
-        return sum(seconds for seconds, _ in self.timings.values())
+        timings = itertools.chain(self.timings.values(), self.within.values())
+        return sum(seconds for seconds, _ in timings)
 
     def _begin(self, until: float) -> None:
         clock, rejection = self.clock, self.rejection

@@ -9,7 +9,7 @@ twice as expensive. Particles are therefore rarely divided again.
 
 import itertools
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeVar, cast
 
@@ -295,6 +295,16 @@ def run_timed(timings: Timings, name: str, work: Callable[[], Result]) -> Result
     entry[0] += time.perf_counter() - start
     entry[1] += 1
     return result
+
+
+def add_timings(parts: Iterable[Timings]) -> Timings:
+    """Return the sums of the seconds and launches of each stage."""
+    total: Timings = {}
+    for part in parts:
+        for name, (seconds, launches) in part.items():
+            before = total.get(name, [0.0, 0])
+            total[name] = [before[0] + seconds, before[1] + launches]
+    return total
 
 
 def run_launches(timings: Timings, named: Sequence[Named]) -> None:

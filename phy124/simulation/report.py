@@ -53,7 +53,7 @@ def report_run(run: Run) -> dict[str, Any]:
         "effects": effects.data(**work, threads=len(solver.workers)),
         "substep_stages": [
             {"name": name, "seconds": seconds, "launches": launches}
-            for name, (seconds, launches) in solver.timings.items()
+            for name, (seconds, launches) in run.timings.items()
         ],
     }
     if run.scene.objects:

@@ -27,7 +27,7 @@ from phy124.motion.deform import Deformer, host
 from phy124.motion.recorded import Motion, Recorded, make_arrays
 from phy124.motion.smoothing import Smoothing
 from phy124.mpm import MEASURE_EVERY, Unstable
-from phy124.mpm.workers import HOST, REPAIR, run_timed
+from phy124.mpm.workers import HOST, REPAIR, Timings, add_timings, run_timed
 from phy124.runtime.compiling import compile_missing
 from phy124.runtime.device import lock_gpu
 from phy124.scene import Scene
@@ -201,9 +201,7 @@ class Simulation:
             self.stopped, self.remedies = str(stop), stop.remedies
         except Cancelled as cancelled:
             raise Interrupted(self) from cancelled
-        launches = sum(
-            count for name, (_, count) in self.solver.timings.items() if name not in HOST
-        )
+        launches = sum(count for name, (_, count) in self.timings.items() if name not in HOST)
         self.setup.context.watch.launches["simulate"] = int(launches)
         return self.clip(shapes=shapes)
 
@@ -252,6 +250,12 @@ class Simulation:
     def report(self) -> dict[str, Any]:
         """Return the report; phy124.pipeline.report_keys documents its keys."""
         return report_run(self)
+
+    @property
+    def timings(self) -> Timings:
+        """Seconds and number of launches of each stage of a step, on the main thread."""
+        solvers = [self.solver, getattr(self.solver, "liquid", None)]
+        return add_timings(solver.timings for solver in solvers if solver is not None)
 
     def snapshot(self) -> dict[str, Any]:
         """Return arrays and plain data, without frames, from which the run can continue."""

@@ -186,7 +186,7 @@ class Study:
             particles_per_axis=_particles_per_axis(simulation),
             substeps=solver.clock.substeps,
             predicted=predicted,
-            seconds=seconds["simulate"] + seconds["deform"] - split_seconds(solver.timings),
+            seconds=seconds["simulate"] + seconds["deform"] - split_seconds(simulation.timings),
             limiters={key: count / sum(counts.values()) for key, count in counts.items()},
             energy_lost=-clip.report["balance"]["energy_gain"],
             lost_to=_lost_to(clip.report.get("energy")),
