@@ -84,6 +84,14 @@ def test_walls_of_a_boundary_are_distinguished():
     assert abs(low + high) < 0.2 * high
 
 
+def test_container_without_walls_has_no_wrenches():
+    sides = {"kind": "container", "inside": {"lower": [-1e9] * 3, "upper": [1e9] * 3}}
+    changes = {**SCENE, "boundaries": [sides, {"kind": "ground"}], "accuracy.solver": "mpm"}
+    run = Simulation(prepare(ball(300), Scene.named("drop").replaced(changes)))
+    run.step()
+    assert run.step().wrenches.keys() == {"ground"}
+
+
 def test_clips_keep_them_and_old_clips_have_none(tmp_path):
     scene = Scene.named("press").replaced(SCENE)
     plain = Simulation(

@@ -193,6 +193,8 @@ class _Separated:
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
         wall = self._wall
         stages, parts = self._inner.attach(model, state, tracks), wall.parts()
+        if not parts:  # a container whose sides are all open
+            return stages
         each, more = divmod(len(stages), len(parts))
         if len(parts) == 1 or more:
             return self._between(self._name, wall, stages, model)
