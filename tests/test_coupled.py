@@ -12,6 +12,7 @@ from phy124.lattice.coupled import CoupledSolver
 from phy124.materials import NeoHookean
 from phy124.mpm import Model, Pair, State
 from phy124.particles.lattice import lattice_of
+from phy124.pipeline.report_keys import Balance
 from phy124.runtime.context import RunContext
 from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
@@ -135,6 +136,14 @@ def test_coupled_run_resumes_bit_for_bit_and_reports():
     weight = 9.81 * setup.particles.mass.sum()
     assert report["walls"]["ground"]["largest_force"] > weight
     assert any("rest lattices" in row for row in report["effects"]["ran"])
+
+
+def test_report_of_a_coupled_run_has_the_declared_keys():
+    run = Simulation(prepare(surface_of_ball(100), bury(), RunContext(threads=1)))
+    run.step()
+    report = run.report()
+    assert report["sleep"] is None
+    assert report["balance"].keys() == Balance.__required_keys__
 
 
 def test_held_lattice_pushes_another_lattice():

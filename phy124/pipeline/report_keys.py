@@ -91,8 +91,10 @@ class Balance(TypedDict):
     """Number of deformation gradients that were reset to the rest shape."""
     ballistic: int
     """Number of particles outside the simulated space; gravity is the only force on them."""
-    tearing: Tearing
-    """Signs that the grid has torn the material (numerical fracture)."""
+    tearing: NotRequired[Tearing]
+    """Signs that the grid has torn the material (numerical fracture). The key is absent if bodies
+    are on lattices.
+    """
 
 
 class Promise(TypedDict):

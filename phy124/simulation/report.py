@@ -82,8 +82,8 @@ def report_clip(setup: Setup, clip: Clip) -> dict[str, Any]:
 def _sections(run: Run) -> Iterator[dict[str, Any]]:
     frames = run.frames if run.setup.keep else ()
     yield from (observer.report(frames) for observer in run.observers)
-    present = {type(observer) for observer in run.observers}
-    yield from (kind.absent for kind in run.setup.observers if kind not in present)
+    kinds = (Sleep, *run.setup.observers)
+    yield from (kind.absent for kind in kinds if run.find(kind) is None)
 
 
 def _objects(run: Run) -> dict[str, Any]:
