@@ -206,6 +206,8 @@ def test_columns_of_the_gaussians_own_file(tmp_path):
         ({"E": np.ones((2, 5))}, "columns have different lengths"),
         ({"colour": np.ones(10)}, "none of E, nu, density, damping, fraction and law"),
         ({"law": np.full(10, "jam")}, "law jam: there is no such law"),
+        ({"law": np.full(10, "é".encode())}, "law é: there is no such law"),
+        ({"x": np.ones(5), "y": np.ones(6), "z": np.ones(5), "E": np.ones(5)}, "x, y and z have"),
         ({"law": np.full(10, 17)}, "law 17 is not known"),
         ({"law": np.full(10, 4), "E": np.ones(10)}, "law fluid has no E"),
         ({"E": np.array(["a"] * 10)}, "its E are not numbers"),

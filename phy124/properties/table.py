@@ -116,7 +116,11 @@ def _places(path: Path, columns: dict[str, NDArray[Any]]) -> NDArray[np.float64]
     if "points" in columns:
         points = columns["points"]
     elif {"x", "y", "z"} <= columns.keys():
-        points = np.stack([columns[axis] for axis in "xyz"], axis=-1)
+        axes = [columns[axis] for axis in "xyz"]
+        if len({np.shape(values) for values in axes}) > 1:
+            remedy = "Write one value of each per point."
+            raise _refusal(path, "its columns x, y and z have different lengths.", remedy)
+        points = np.stack(axes, axis=-1)
     else:
         return None
     if points.ndim != 2 or points.shape[1] != 3:
@@ -176,8 +180,10 @@ def _check_fractions(path: Path, fractions: NDArray[np.float64]) -> None:
 
 
 def _laws(path: Path, values: NDArray[Any]) -> NDArray[np.str_]:
-    if values.dtype.kind in "US":
-        return values.astype(str)
+    if values.dtype.kind == "S":
+        return np.char.decode(values, "utf-8", "replace")
+    if values.dtype.kind == "U":
+        return values
     numbers = np.unique(values)
     unknown = [value for value in numbers.tolist() if value not in LAWS]
     if unknown:
