@@ -5,6 +5,7 @@ import warnings
 import pytest
 import tomli_w
 
+from phy124.errors import InputError
 from phy124.scene import Scene
 
 OLD = {
@@ -64,3 +65,5 @@ def test_transparent_is_a_stage_now():
     with pytest.warns(FutureWarning):
         again = scene.replaced({"view.transparent": False})
     assert again.view.stage == "plain"
+    with pytest.raises(InputError, match=r"view\.transparent"):
+        Scene.from_data({"view": {"transparent": [1]}})

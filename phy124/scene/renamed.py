@@ -36,7 +36,7 @@ def rename_item(key: str, value: Any) -> tuple[str, Any]:
         _note("stiffness of kind array", "properties")
         return "properties", {"file": value.get("file")}
     old = key.split(".")
-    if old[-1] == "transparent" and value in STAGES:
+    if old[-1] == "transparent" and isinstance(value, bool):
         path = ".".join([*old[:-1], "stage"])
         _note(f"{key} = {str(value).lower()}", f"{path} = {STAGES[value]}")
         return path, STAGES[value]
