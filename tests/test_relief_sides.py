@@ -150,6 +150,12 @@ def test_pictures_that_contradict_each_other_are_refused(options, why):
         relief(picture(ellipse(60)), count=500, **options)
 
 
+def test_a_side_is_refused_if_the_object_is_too_low():
+    low = picture(abs(Y - 80.5) < 0.2)
+    with pytest.raises(InputError, match=r"side.*too low.*Remove"):
+        relief(low, side=low, count=500)
+
+
 def test_a_back_that_was_mirrored_is_recognised():
     arm = ellipse(25) | ((abs(Y - 50) < 20) & (X > 80) & (X < 150))
     with pytest.raises(InputError, match="mirror it back"):

@@ -19,6 +19,10 @@ DEEPEST, FLATTEST = 4.0, 0.03
 """Largest and smallest depth, relative to the longest side of the front."""
 
 
+LOWEST = 3
+"""Smallest height of a front from which a solid is made with an image from the side [pixels]."""
+
+
 @dataclass(frozen=True)
 class Box:
     """Bounding box of the object in an image [pixels]."""
@@ -49,8 +53,8 @@ def check_side(front: Solid, side: Solid) -> None:
     """Refuse two silhouettes of equal height that cannot belong to the same object.
 
     Raises:
-        InputError: If the depth is out of range, or if only one image shows the object at too many
-            heights.
+        InputError: If the object is too low, the depth is out of range, or only one image shows the
+            object at too many heights.
     """
     front_box, side_box = Box.of(front), Box.of(side)
     depth = side_box.size[0] / max(front_box.size)
@@ -61,6 +65,13 @@ def check_side(front: Solid, side: Solid) -> None:
         )
         remedy = "Give pictures that show the whole object, upright in both."
         raise InputError("side", "picture", limit, remedy)
+    if front_box.size[1] < LOWEST:
+        height = front_box.size[1] / max(*front_box.size, *side_box.size)
+        limit = (
+            f"The object's height is {height:.2g} of its longest side, which is too low to compare "
+            "heights in two pictures."
+        )
+        raise InputError("side", "picture", limit, "Remove the picture from the side.")
     height = min(front_box.size[1], side_box.size[1])
     rows = [
         solid[box.top : box.top + height].any(axis=1)
