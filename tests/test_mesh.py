@@ -108,6 +108,19 @@ def test_colours_of_glb_are_linear(tmp_path, source):
     np.testing.assert_allclose(drawn[2], 0.5, atol=0.005)
 
 
+@pytest.mark.parametrize("kind", [np.uint8, np.uint16, np.float32])
+def test_colours_of_vertices_multiply_a_material(kind):
+    body = trimesh.creation.icosphere(3)
+    material = trimesh.visual.material.PBRMaterial(baseColorFactor=[128, 128, 128, 255])
+    body.visual = trimesh.visual.TextureVisuals(material=material)
+    most = np.iinfo(kind).max if kind is not np.float32 else 1
+    colours = np.full((len(body.vertices), 4), 0.43 * most).astype(kind)
+    body.visual.vertex_attributes["color"] = colours
+    meshes._use_vertex_colours(body)
+    drawn = meshes._sample_surface([body], 0, 500, linear=True)
+    np.testing.assert_allclose(drawn[2], 0.5, atol=0.01)  # 0.216 in linear light
+
+
 def test_an_open_mesh_is_filled(tmp_path):
     box = trimesh.creation.box((1, 1, 1))
     box.update_faces(box.face_normals[:, 2] < 0.5)

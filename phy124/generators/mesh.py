@@ -242,6 +242,8 @@ def _load_solids(path: str, kind: str) -> tuple[list[Trimesh], list[Any]]:
         scene = _load(path, kind)
         shapes = [scene.geometry[scene.graph[node][1]] for node in scene.graph.nodes_geometry]
         triangles = sum(len(getattr(piece, "faces", ())) for piece in shapes)
+        for shape in scene.geometry.values():
+            _use_vertex_colours(shape)
         pieces = scene.dump() if triangles <= MOST_TRIANGLES else []
     except MemoryError:
         raise ValueError(
@@ -258,6 +260,26 @@ def _load_solids(path: str, kind: str) -> tuple[list[Trimesh], list[Any]]:
         limit = f"it has {triangles:,} triangles, but at most {MOST_TRIANGLES:,} are allowed."
         raise ValueError(f"{limit}; Simplify the mesh in the program that made it.")
     return [piece for piece in pieces if len(getattr(piece, "faces", ()))], shapes
+
+
+def _use_vertex_colours(shape: Any) -> None:
+    """Multiply a glTF material without texture by the colours of vertices; trimesh ignores them."""
+    from trimesh.visual import ColorVisuals
+
+    visual: Any = getattr(shape, "visual", None)
+    if getattr(visual, "kind", None) != "texture" or "color" not in visual.vertex_attributes:
+        return
+    if getattr(visual.material, "baseColorTexture", True) is None:
+        colours = np.asarray(visual.vertex_attributes["color"])
+        most = np.iinfo(colours.dtype).max if colours.dtype.kind == "u" else 1.0
+        rgb = colours[:, :3] / most * _factor(visual.material)
+        shape.visual = ColorVisuals(shape, vertex_colors=np.rint(255 * rgb).astype(np.uint8))
+
+
+def _factor(material: Any) -> NDArray[np.float64]:
+    """Return the linear base colour [3] of a glTF material; the default is white."""
+    factor = material.baseColorFactor
+    return np.ones(3) if factor is None else factor[:3] / 255
 
 
 def _load(path: str, kind: str) -> Any:
@@ -372,9 +394,8 @@ def _colour_piece(
     if visual.kind != "texture":
         return None
     material: Any = visual.material
-    factor = getattr(material, "baseColorFactor", None)
     # Only materials of glTF have a factor, which is linear; their textures are sRGB.
-    light = None if factor is None else factor[:3] / 255
+    light = _factor(material) if hasattr(material, "baseColorFactor") else None
     tint = material.main_color[:3] / 255 if light is None else to_srgb(light)
     if visual.uv is None or len(visual.uv) != len(piece.vertices):
         return tint
