@@ -9,7 +9,7 @@ from phy124.boundaries import HalfSpace, Held
 from phy124.forces import Gravity, Impulse, TotalForce
 from phy124.lattice.clamps import acts_on
 from phy124.lattice.coupled import CoupledSolver
-from phy124.materials import NeoHookean
+from phy124.materials import Fluid, NeoHookean
 from phy124.mpm import Model, Pair, State
 from phy124.particles.lattice import lattice_of
 from phy124.pipeline.report_keys import Balance
@@ -24,7 +24,7 @@ pytestmark = pytest.mark.usefixtures("coarse_solids")
 DAMPED = NeoHookean(E=1e5, nu=0.3, density=1000, damping=300.0)
 
 
-def make(counts, low, solid, *, v=None, forces=(), boundaries=(), pairs=()):
+def make(counts, low, solid, *, material=DAMPED, v=None, forces=(), boundaries=(), pairs=()):
     """Return a solver of a block of particles, body 0, and a solid on its lattice, body 1."""
     soft = np.asarray(low) + lattice(counts, DX / 2)
     points = lattice_of(solid, density=DAMPED.density, dx=DX)
@@ -33,7 +33,7 @@ def make(counts, low, solid, *, v=None, forces=(), boundaries=(), pairs=()):
     body = np.repeat([0, 1], [len(soft), len(points)])
     kind = {"body": body, "material": body, "wet": [1], "dx": DX, "precision": "float64"}
     kind["origin"] = (0, 0, -0.75 * DX)
-    model = Model.of(x, volume, [DAMPED, DAMPED], **kind)
+    model = Model.of(x, volume, [material, DAMPED], **kind)
     motion = None if v is None else np.asarray(v, float)[body]
     surface = points.surface + [0, 0, 0, 0, 0, 0, 1]
     state, acting = State.of(model, motion), {"forces": forces, "boundaries": boundaries}
@@ -101,6 +101,14 @@ def test_total_accelerates_all_bodies_equally(push):
     soft, stiff = momenta(solver)[:, 1]
     share = solver.lattice.model.total_mass / solver.model.total_mass
     assert stiff == pytest.approx(share * (soft + stiff), rel=1e-9)
+
+
+def test_viscosity_of_particles_limits_the_substep():
+    honey = Fluid(viscosity=5000, density=1000)
+    solid = block((0.3,) * 3, low=(1.0, 0.3, 0.3))
+    solver = make((6, 6, 6), (0.2, 0.2, 0.2), solid, material=honey)
+    limit = honey.viscous_limit(DX)
+    assert 0.5 * limit < solver.clock.stable().dt <= limit
 
 
 def bury(**changes):

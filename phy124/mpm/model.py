@@ -245,8 +245,9 @@ class Model:
 
     @property
     def viscous(self) -> float:
-        """Longest substep [s] that the viscosity of the materials allows."""
-        sections = [m for m in self.materials if not (self.wet and m.device_law.name == "fluid")]
+        """Longest substep [s] that the viscosity of the materials in `dry_groups` allows."""
+        laws = {group.law.name for group in self.dry_groups}
+        sections = [m for m in self.materials if m.device_law.name in laws]
         slowest = min(section.viscous_limit(self.dx) for section in sections)
         return beside_elastic(self.cfl) * slowest
 
