@@ -9,6 +9,7 @@ from phy124.boundaries import HalfSpace, Held
 from phy124.forces import Gravity, Impulse, TotalForce
 from phy124.lattice.clamps import acts_on
 from phy124.lattice.coupled import CoupledSolver
+from phy124.lattice.shock import STALLED
 from phy124.materials import Fluid, NeoHookean
 from phy124.mpm import Model, Pair, State
 from phy124.particles.lattice import lattice_of
@@ -109,6 +110,13 @@ def test_viscosity_of_particles_limits_the_substep():
     solver = make((6, 6, 6), (0.2, 0.2, 0.2), solid, material=honey)
     limit = honey.viscous_limit(DX)
     assert 0.5 * limit < solver.clock.stable().dt <= limit
+
+
+def test_short_substeps_of_stiff_particles_are_no_collapse():
+    stiff = NeoHookean(E=1e12, density=1000)
+    solver = make((4, 4, 4), (0.2, 0.2, 0.2), block((0.3,) * 3, low=(1, 0.3, 0.3)), material=stiff)
+    solver.advance(0.9 * solver.lattice.limits.substep_at_rest)
+    assert solver.clock.substeps > 2 * STALLED
 
 
 def bury(**changes):

@@ -149,6 +149,9 @@ class CoupledSolver(Solver):
         if self.lattice.limits.measure_if_due():
             for material in self.materials:
                 material.due = True
+        if self.clock.stable().dt < self.lattice.clock.stable().dt:
+            # Substeps that are short because of the particles say nothing about the lattices.
+            self.lattice.clock.mark()
         super()._stable_step(until)
 
     def step(self, kick: float, drift: float) -> None:

@@ -97,6 +97,10 @@ class LatticeClock(Clock):
         way = speed * (self.time + drift - self.seen)
         return self.in_shock or speed * drift > IMPACT * self.dx or way > UNSEEN * self.dx
 
+    def mark(self) -> None:
+        """Check the progress of the run from the present time on."""
+        self._marked = self.substeps, self.time
+
     def stalls(self, usual: float) -> bool:
         """Return whether the last `STALLED` substeps together are shorter than one substep at rest.
 
@@ -105,7 +109,7 @@ class LatticeClock(Clock):
         taken, elapsed = self.substeps - self._marked[0], self.time - self._marked[1]
         if 0 <= taken < STALLED and elapsed >= 0:
             return False
-        self._marked = self.substeps, self.time
+        self.mark()
         return taken >= STALLED and 0 <= elapsed < usual
 
 
