@@ -16,7 +16,7 @@ from phy124.particles.lattice import lattice_of
 from phy124.pipeline.report_keys import Balance
 from phy124.runtime.context import RunContext
 from phy124.scene import Scene
-from phy124.simulation import Simulation, prepare
+from phy124.simulation import Simulation, Stopped, prepare
 from phy124.studies.validation.bodies import lattice, surface_of_ball
 from support.lattices import DX, block
 
@@ -202,3 +202,20 @@ def test_rejected_substep_lists_the_surface_points_again():
         assert material.due
         solver._scatter(0.0, solver.clock.last_dt)
         assert len(material._near) > 0
+
+
+def test_retry_after_a_collapse_does_not_use_the_collapsed_substep(monkeypatch):
+    run = Simulation(prepare(surface_of_ball(100), bury(), RunContext(threads=1)))
+    solver, ceilings = run.solver, []
+
+    def lose():
+        if solver.clock.ceiling_name == "retry":
+            ceilings.extend((solver.clock.ceiling, solver.lattice.clock.ceiling))
+        solver.clock.last_dt = 1e-9
+        return 3
+
+    monkeypatch.setattr(solver.lattice.crew, "lost", lose)
+    run.step()
+    with pytest.raises(Stopped, match="turned inside out"):
+        run.step()
+    assert set(ceilings) == {solver.lattice.limits.substep_at_rest / 2}

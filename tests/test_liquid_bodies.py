@@ -9,6 +9,7 @@ from phy124.gaussians import rotation_matrices
 from phy124.liquid.clock import LiquidClock
 from phy124.liquid.mixed import MixedSolver
 from phy124.materials import Fluid, NeoHookean
+from phy124.monitor.observer import Violation
 from phy124.mpm import FreeBody, Model, State
 from phy124.runtime.context import RunContext
 from phy124.scene import Scene
@@ -382,3 +383,26 @@ def test_stone_presses_on_the_floor_by_weight_minus_buoyancy():
     lift = solver.pairs.wrenches(1.0)[0, 1].force[2]
     assert lift == pytest.approx(DENSITY * G * 75 * DX**3, rel=0.1)
     assert abs(solver.state.v.numpy()[-600:, 2].mean()) < 0.02
+
+
+@pytest.mark.parametrize("solver", ["mpm", "lattice"])
+def test_repeated_frame_halves_the_steps_of_the_liquid(monkeypatch, solver):
+    soft = {"law": "neo_hookean", "E": 1e5, "nu": 0.3, "density": 500, "damping": 10}
+    body = {"name": "body", "shape": "box", "sides": [1, 1, 1], "size": 0.4, "material": soft}
+    inside = {"lower": [-0.7, -0.7, 0], "upper": [0.7, 0.7, 1e9]}
+    data = {"material": {"law": "fluid"}, "accuracy": {"cells": 8, "solver": solver}}
+    data["boundaries"] = [{"kind": "ground"}, {"kind": "container", "inside": inside}]
+    data |= {"forces": [{"kind": "gravity"}], "objects": [{**body, "on": "object", "lift": 0.05}]}
+    scene = Scene.from_data(data)
+    simulation = Simulation(prepare(surface_of_ball(100), scene, RunContext(threads=1)))
+    simulation.step()
+    clock, steps = simulation.solver.liquid.clock, []
+
+    def fail_once():
+        steps.append(clock.last_dt)
+        return Violation("", ()) if len(steps) == 1 else None
+
+    monkeypatch.setattr(simulation, "after_attempt", fail_once)
+    simulation.step()
+    assert steps[1] <= steps[0] / 2
+    assert clock.ceiling == np.inf

@@ -98,7 +98,7 @@ def test_cancelled_within_a_frame_it_goes_on_bit_for_bit(tmp_path, preset, chang
 
 def test_cancelled_retry_restores_the_substep(tmp_path):
     run = Simulation(prepare(ball(800), Scene.named("press").replaced(SCENE)))
-    run._failed_dt = 1.0
+    run._failed = run.solver.clock.list_failed(1.0)
     usual = run.solver.clock.cfl, run.solver.clock.ceiling
     with pytest.raises(Cancelled), run._half_substep():
         raise Cancelled

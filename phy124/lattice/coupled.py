@@ -31,6 +31,10 @@ class CoupledClock(Clock):
         substeps = [super().stable(), *([self.lattice.stable()] if self.lattice else [])]
         return min(substeps, key=lambda substep: substep.dt)
 
+    def list_failed(self, dt: float) -> list[tuple[Clock, float]]:
+        """Return the clocks that a repeated frame must `halve`: this clock and the lattices'."""
+        return [*super().list_failed(dt), *(self.lattice.list_failed(dt) if self.lattice else [])]
+
 
 class CoupledSolver(Solver):
     """Advances bodies on lattices and bodies of particles in time."""

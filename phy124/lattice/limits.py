@@ -147,16 +147,15 @@ class Limits(Kept):
         inverted = lost or clock.stable().dt < COLLAPSED * usual
         if not inverted and not clock.stalls(usual):
             return
-        limit, clock.last_dt = clock.stable(), self.substep_at_rest
+        limit = clock.stable()
         if limit.limiter == "speed" and not lost:
             speed = max(clock.extremes.speed, clock.solid)
-            raise Unstable(
-                f"the motion is too fast: at {speed:.2g} m/s, a substep would last {limit.dt:.1e} s"
-            )
+            what = f"at {speed:.2g} m/s, a substep would last {limit.dt:.1e} s"
+            raise Unstable(f"the motion is too fast: {what}", self.substep_at_rest)
         what = f"{STALLED} substeps together lasted less than one substep of the undeformed body"
         if inverted:
             what = "it turned inside out" + (f" ({lost} points)" if lost else "")
-        raise Unstable(f"the body was squeezed so fast that {what}")
+        raise Unstable(f"the body was squeezed so fast that {what}", self.substep_at_rest)
 
     def measure_frequency(self) -> None:
         """Measure the bodies' largest frequency after the forces are summed, before they act."""

@@ -45,6 +45,10 @@ class MixedClock(Clock):
         """Mean delay of velocities behind positions [s], weighted by mass."""
         return (1 - self.share) * super().behind + self.share * self.liquid.behind
 
+    def list_failed(self, dt: float) -> list[tuple[Clock, float]]:
+        """Return the clocks that a repeated frame must `halve`: this clock and the liquid's."""
+        return [*super().list_failed(dt), *self.liquid.list_failed(self.liquid.last_dt)]
+
     def lag(self, power: float, momentum: NDArray) -> float:
         """Return the kinetic energy at the time of the positions, minus the kinetic energy at the
         time of the velocities [J].

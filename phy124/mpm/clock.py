@@ -1,6 +1,10 @@
 """Clock: keeps the time of a run, and chooses the length of the next substep."""
 
+from __future__ import annotations
+
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -162,6 +166,29 @@ class Clock(Kept):
             self._shared[:] = values
         else:
             self.values.assign(np.array(values))
+
+    def list_failed(self, dt: float) -> list[tuple[Clock, float]]:
+        """Return the clocks that a repeated frame must `halve`, with the lengths of their last
+        steps [s].
+
+        The last substep lasted `dt` [s]; 0: unknown.
+        """
+        return [(self, dt)]
+
+    @contextmanager
+    def halve(self, failed: float) -> Iterator[None]:
+        """Take substeps of at most half the usual length and half the length `failed` [s];
+        0: unknown.
+        """
+        usual = self.cfl, self.ceiling, self.measure_every
+        self.cfl, self.ceiling = usual[0] / 2, min(usual[1], failed or math.inf) / 2
+        self.ceiling_name = "retry"
+        self.measure_every = min(usual[2], MEASURE_EVERY)
+        try:
+            yield
+        finally:
+            self.cfl, self.ceiling, self.measure_every = usual
+            self.ceiling_name = "user"
 
     def finish(self, drift: float, *, violent: bool = False) -> None:
         """Count a substep of length `drift` [s]; a violent substep requests a measurement."""

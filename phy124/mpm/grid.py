@@ -29,6 +29,13 @@ FARTHEST = 2**30
 class Unstable(RuntimeError):
     """Particles have left the grid's window, or values are not finite; the state is unusable."""
 
+    def __init__(self, what: str, dt: float = 0.0) -> None:
+        self.dt = dt
+        """Length of a substep [s] whose half is short enough for the next attempt; 0: the length of
+        the last substep.
+        """
+        super().__init__(what)
+
 
 class Grid:
     """A flat array of nodes; node (i, j, k) of the window is at origin + (low + (i, j, k)) dx."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from functools import cached_property, partial
 from typing import Any
@@ -26,7 +26,7 @@ from phy124.monitor.watchdog import Watchdog
 from phy124.motion.deform import Deformer, host
 from phy124.motion.recorded import Motion, Recorded, make_arrays
 from phy124.motion.smoothing import Smoothing
-from phy124.mpm import MEASURE_EVERY, Unstable
+from phy124.mpm import Unstable
 from phy124.mpm.workers import HOST, REPAIR, Timings, add_timings, run_timed
 from phy124.runtime.compiling import compile_missing
 from phy124.runtime.device import lock_gpu
@@ -412,16 +412,10 @@ class Simulation:
 
     @contextmanager
     def _half_substep(self) -> Iterator[None]:
-        clock = self.solver.clock
-        usual = clock.cfl, clock.ceiling, clock.measure_every
-        clock.cfl, clock.ceiling = usual[0] / 2, min(usual[1], self._failed_dt) / 2
-        clock.ceiling_name = "retry"
-        clock.measure_every = min(usual[2], MEASURE_EVERY)
-        try:
+        with ExitStack() as halved:
+            for clock, failed in self._failed:
+                halved.enter_context(clock.halve(failed))
             yield
-        finally:
-            clock.cfl, clock.ceiling, clock.measure_every = usual
-            clock.ceiling_name = "user"
 
     def _try(self, index: int, until: float, *, closely: bool = False) -> Violation | None:
         """Attempt a frame; if it is not valid, reset the state and return the error."""
@@ -431,11 +425,12 @@ class Simulation:
         solver.free.begin()
         run_timed(solver.timings, "watchdog", lambda: self.before_attempt(closely=closely))
         before = run_timed(solver.timings, "snapshot", self.checkpoint)
+        failed = 0.0
         try:
             solver.advance(until, after=self._follower(index), each=closely)
             problem = run_timed(solver.timings, "watchdog", self.after_attempt)
         except Unstable as error:
-            watchdog = self.find(Watchdog)
+            watchdog, failed = self.find(Watchdog), error.dt
             what = str(error)
             problem = watchdog.diagnose(what) if watchdog else Violation(what, ("substep",))
         except Exception:
@@ -444,7 +439,7 @@ class Simulation:
         if problem is None:
             solver.repair.end()
         else:
-            self._failed_dt = solver.clock.last_dt or math.inf
+            self._failed = solver.clock.list_failed(failed or solver.clock.last_dt)
             self.roll_back(before)
         return problem
 
