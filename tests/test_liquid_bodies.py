@@ -385,16 +385,21 @@ def test_stone_presses_on_the_floor_by_weight_minus_buoyancy():
     assert abs(solver.state.v.numpy()[-600:, 2].mean()) < 0.02
 
 
+def pool_with_cube(solver, E=1e5, density=500, **changes):
+    """Return a run of an elastic cube that falls into a pool."""
+    soft = {"law": "neo_hookean", "E": E, "nu": 0.3, "density": density, "damping": 10}
+    cube = {"name": "cube", "shape": "box", "sides": [1, 1, 1], "size": 0.4, "material": soft}
+    inside = {"lower": [-0.7, -0.7, 0], "upper": [0.7, 0.7, 1e9]}
+    data = {"material": {"law": "fluid"}, "accuracy": {"cells": 8, "solver": solver}, **changes}
+    data["boundaries"] = [{"kind": "ground"}, {"kind": "container", "inside": inside}]
+    data |= {"forces": [{"kind": "gravity"}], "objects": [{**cube, "on": "object", "lift": 0.05}]}
+    scene = Scene.from_data(data)
+    return Simulation(prepare(surface_of_ball(100), scene, RunContext(threads=1)))
+
+
 @pytest.mark.parametrize("solver", ["mpm", "lattice"])
 def test_repeated_frame_halves_the_steps_of_the_liquid(monkeypatch, solver):
-    soft = {"law": "neo_hookean", "E": 1e5, "nu": 0.3, "density": 500, "damping": 10}
-    body = {"name": "body", "shape": "box", "sides": [1, 1, 1], "size": 0.4, "material": soft}
-    inside = {"lower": [-0.7, -0.7, 0], "upper": [0.7, 0.7, 1e9]}
-    data = {"material": {"law": "fluid"}, "accuracy": {"cells": 8, "solver": solver}}
-    data["boundaries"] = [{"kind": "ground"}, {"kind": "container", "inside": inside}]
-    data |= {"forces": [{"kind": "gravity"}], "objects": [{**body, "on": "object", "lift": 0.05}]}
-    scene = Scene.from_data(data)
-    simulation = Simulation(prepare(surface_of_ball(100), scene, RunContext(threads=1)))
+    simulation = pool_with_cube(solver)
     simulation.step()
     clock, steps = simulation.solver.liquid.clock, []
 
@@ -406,3 +411,14 @@ def test_repeated_frame_halves_the_steps_of_the_liquid(monkeypatch, solver):
     simulation.step()
     assert steps[1] <= steps[0] / 2
     assert clock.ceiling == np.inf
+
+
+def test_stiffness_profile_acts_on_the_coupling_with_a_liquid():
+    softer = {"kind": "keyframes", "times": [0, 5], "factors": [0.01, 0.01]}
+    soft = pool_with_cube("mpm", 1e3, 20)
+    softened = pool_with_cube("mpm", 1e5, 20, stiffness_profile=softer)
+    for run in (soft, softened):
+        for _ in range(6):
+            run.step()
+    x = [run.solver.state.x.numpy() for run in (soft, softened)]
+    assert np.abs(x[0] - x[1]).max() < 1e-3 * DX

@@ -107,10 +107,12 @@ class Bodies(Kept):
         self.pushed = False
         self.period = math.inf
         """Shortest vibration period of bodies below a liquid [s]."""
-        self.light = math.inf
-        """Shortest vibration period of light bodies in the liquid [s]."""
-        stiff = np.array([_stiffness(model, body) for body in self.numbers])
-        self._stiffness = wp.array(stiff, dtype=wp.float64, device=device)
+        self.light = self._lightest = math.inf
+        """Shortest vibration period of light bodies in the liquid [s], at present and with the
+        initial stiffness.
+        """
+        self._stiff = np.array([_stiffness(model, body) for body in self.numbers])
+        self._stiffness = wp.array(self._stiff, dtype=wp.float64, device=device)
         every = self.first + count
         self._before = np.zeros((0, 2, 3))
         self._films = np.zeros((every, 2, 3))
@@ -138,9 +140,9 @@ class Bodies(Kept):
         return self._impulses[self.first :]
 
     def soften(self, factor: float) -> None:
-        """Multiply the stiffness of all bodies by a factor."""
-        self._stiffness.assign(factor * np.asarray(self._stiffness.numpy()))
-        self.light /= math.sqrt(factor)
+        """Multiply the initial stiffness of all bodies by a factor."""
+        self._stiffness.assign(factor * self._stiff)
+        self.light = self._lightest / math.sqrt(factor)
 
     def join(self, solids: Solids, mobility: wp.array) -> None:
         """Store the arrays of all solids; the bodies are the last entries."""
@@ -153,7 +155,7 @@ class Bodies(Kept):
             light = mass / volume * self._model.dx**3 < LIGHT * solids.scale
             if light and body not in self._model.held:
                 period = 4 * volume ** (1 / 3) / _wave_speed(self._model, body)
-                self.light = min(self.light, period)
+                self.light = self._lightest = min(self.light, period)
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
         """Return the stages that apply the pressure to the bodies in each substep."""

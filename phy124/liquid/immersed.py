@@ -143,7 +143,7 @@ class ImmersedSolver:
 
     @softened.setter
     def softened(self, factor: float) -> None:
-        self.bodies.soften(factor / self.lattice.softened)
+        self.bodies.soften(factor)
         self.lattice.softened = factor
 
     @property

@@ -131,6 +131,17 @@ class MixedSolver(Solver):
         assert self._liquid is not None
         return self._liquid
 
+    @property
+    def softened(self) -> float:
+        """Current factor on the initial stiffness of all particles."""
+        return self._softened
+
+    @softened.setter
+    def softened(self, factor: float) -> None:
+        self._softened = factor
+        if self.bodies is not None:
+            self.bodies.soften(factor)
+
     def keep_works(self) -> None:
         """Sum the work on the liquid by cause, and the liquid's work on bodies, from now on."""
         assert self.bodies is not None
