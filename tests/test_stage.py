@@ -184,6 +184,13 @@ class Wind(Boundary):
     kind: Literal["gust"] = "gust"
 
 
+def test_a_boundary_of_a_named_object_is_drawn():
+    """A clip may contain boundaries without the objects that they name."""
+    clip = Clip.from_frames([HERE])
+    named = replace(clip, scene={"boundaries": [{"kind": "ground", "object": "below"}]})
+    assert make_stage(named, STUDIO).at(HERE).floor.height == 0
+
+
 def test_plugin_boundaries_are_drawn_by_their_shape():
     boundaries = (Slope(), Cushion(), Wind())
     clip = Clip.from_frames([Frame(0, 0.0, ball(500).transform(1.0, [0, 0, 0.5]))])

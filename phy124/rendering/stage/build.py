@@ -12,14 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from phy124.boundaries import BOUNDARIES, Boundary
+from phy124.boundaries import BOUNDARIES, AnyBoundary, Boundary
 from phy124.gaussians import Array, Frame
 from phy124.imaging.image import open_image
 from phy124.io.clip import Clip
 from phy124.rendering.stage.frame import POOL, Backdrop, Floor, Solid, StageFrame, bounds
 from phy124.rendering.stage.shadow import GLASS, SLOPE, Caster, Glass
 from phy124.rendering.stage.solids import floor_heights, place_walls
-from phy124.scene import Scene, View
+from phy124.scene import View
+from phy124.schema.refusals import validate
+from phy124.schema.section import Section
 
 RECENT = 64
 """Number of frames whose surroundings are stored for pictures from other sides."""
@@ -134,7 +136,13 @@ def boundaries_of(clip: Clip) -> Sequence[Boundary]:
             known.append(options)
         elif kind in defined:
             known.append(defined[kind].model_validate(options))
-    return Scene.from_data({"boundaries": known}).boundaries
+    return validate(_Boundaries, {"boundaries": known}, "clip").boundaries
+
+
+class _Boundaries(Section):
+    """Boundaries without the objects that they name."""
+
+    boundaries: tuple[AnyBoundary, ...]
 
 
 def _kinds(base: type[Boundary]) -> Iterator[type[Boundary]]:
