@@ -13,11 +13,13 @@ import pytest
 
 from phy124 import pipeline
 from phy124.__main__ import main
+from phy124.accuracy.choose import Goal
 from phy124.errors import Cancelled, Incomplete, InputError
 from phy124.io.clip import Clip
 from phy124.io.ply import write_ply
 from phy124.pipeline import recording, run_folder
 from phy124.runtime.context import RunContext
+from phy124.simulation import Simulation, prepare
 from support.processes import until
 from support.runs import RESULTS, SCENE, WITH, copied_at, names, same
 from support.shapes import ball
@@ -126,6 +128,51 @@ def test_an_error_leaves_the_frames_so_far(tmp_path, whole, error):
         pipeline.simulate(ball(300), SCENE, tmp_path / "cut", each=each)
     pipeline.go_on(tmp_path / "cut", SCENE)
     same(whole, tmp_path / "cut")
+
+
+def test_a_frame_that_was_computed_last_is_kept(tmp_path, whole):
+    """`progress` reports a frame before the frame is recorded."""
+
+    def fail(stage: str, done: int, total: int) -> None:
+        if stage == "simulate" and done == 4:
+            raise MemoryError
+
+    with pytest.raises(Incomplete, match=r"4 frames are kept in"):
+        pipeline.simulate(ball(300), SCENE, tmp_path / "cut", progress=fail)
+    pipeline.go_on(tmp_path / "cut", SCENE)
+    same(whole, tmp_path / "cut")
+
+
+def test_a_run_with_a_goal_goes_on_from_the_chosen_grid(tmp_path, monkeypatch):
+    """The chosen grid may not be the grid of the last run."""
+
+    def fail(*arguments: object, **options: object) -> None:
+        raise RuntimeError("a bug")
+
+    goal = Goal.error("60%")
+    with monkeypatch.context() as patch, pytest.raises(Incomplete, match="--resume makes"):
+        patch.setattr(run_folder, "film", fail)
+        pipeline.simulate(ball(300), SCENE, tmp_path, goal=goal, keep=True, error=False)
+    before = Clip.load(tmp_path / "clip.safetensors")
+    tried = before.report["goal"]["levels"]
+    assert before.scene["accuracy"]["cells"] < tried[-1]
+    pipeline.go_on(tmp_path, error=False)
+    again = Clip.load(tmp_path / "clip.safetensors")
+    assert again.scene == before.scene and np.array_equal(again.means, before.means)
+    assert names(tmp_path) == RESULTS
+
+
+def test_a_second_run_removes_the_state_of_the_first(tmp_path, monkeypatch):
+    """The state refers to the first run's file of frames, which the second run removes."""
+    written = recording.Recording(tmp_path, {})
+    for cost, states in ((1e9, 1), (0.0, 0)):
+        monkeypatch.setattr(recording, "COST", cost)
+        run = Simulation(prepare(ball(300), SCENE))
+        run.step()
+        written.see(run)
+        assert len(list(tmp_path.glob("pause.safetensors"))) == states
+    written.leave()
+    assert not names(tmp_path) - {".lock"}
 
 
 def test_a_run_of_the_page_that_fails_leaves_nothing(tmp_path, every_frame, temporary):

@@ -105,7 +105,13 @@ class Recording:
         if self.failed or self.frames is None or run.scene.unregistered:
             return
         begun = time.perf_counter()
-        resume.save(run, self.path, about=self.about, frames=self.frames, files=self.files)
+        current = run is self._run
+        if current and self._put < run.count:  # the run ended between its last frame and `see`
+            with suppress(Unlike):
+                self._write_frames(run)
+        # The file of frames may belong to another run, for example on another grid.
+        frames = self.frames if current and self._put == run.count else None
+        resume.save(run, self.path, about=self.about, frames=frames, files=self.files)
         if not self.saved:
             sweep(self.path.parent)
         self.saved, self._last = run.count, time.perf_counter()
@@ -163,6 +169,8 @@ class Recording:
         if first:
             self._put = 0 if self.frames is None else self.saved
         elif self.frames is not None:
+            with suppress(OSError):  # the state refers to the file of frames
+                self.path.unlink(missing_ok=True)
             self.frames.remove()
             self.frames, self._put, self.saved = None, 0, 0
 
