@@ -1,9 +1,12 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from phy124 import Scene, Simulation, prepare
 from phy124.rendering.dents import Dents
 from phy124.rendering.shine import LAMP, add_gloss, make_shine
+from support.clips import flight
 from support.shapes import ball
 
 pytestmark = pytest.mark.usefixtures("coarse_solids")
@@ -72,3 +75,11 @@ def test_clips_of_plasticine_are_lit_and_others_are_not():
     for other in (quick, clay.replaced({"view.shine": False})):
         clip = Simulation(prepare(ball(300), other)).run()
         assert make_shine(clip, other.view) is None
+
+
+def test_a_single_gaussian_of_plasticine_keeps_its_colour():
+    """A solid without extent has no surface whose light could change."""
+    clip = flight([(0, 0, 0)], count=50)
+    clip = replace(clip, report={"grid": {"dx": CELL}, "dents": [[[0, 1]], [[1, 50]]]})
+    shine, frame = make_shine(clip), clip.frame(0)
+    np.testing.assert_array_equal(shine.shape(frame).gaussians.rgb, frame.gaussians.rgb)

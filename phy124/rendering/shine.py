@@ -83,9 +83,10 @@ class Shine:
         ]
         self._matte = find_matte(clip.report.get("matte") or [], self._cell)
         self._dents = [
-            Dents(which, _finite(clip.means[0][which]), self._cell, LAMP)
+            Dents(which, x, self._cell, LAMP)
             for runs in clip.report.get("dents") or []
             if self._cell > 0 and len(which := _indices(runs))
+            if np.ptp(x := _finite(clip.means[0][which]), axis=0).any()  # a point has no surface
         ]
         self._fragments = [
             Fragments(which, _finite(clip.means[0][which]))
