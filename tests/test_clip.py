@@ -68,6 +68,11 @@ def test_frames_give_back_the_gaussians(clip):
     assert np.array_equal(frames[2].gaussians.means, clip.means[2])
 
 
+def test_a_clip_without_frames_is_refused():
+    with pytest.raises(ValueError, match="at least one frame"):
+        Clip.from_frames([])
+
+
 def test_velocities_are_differences_of_neighbouring_frames(clip):
     assert np.array_equal(clip.frame(1, velocities=True).velocities, clip.velocities[1])
     bare = dataclasses.replace(clip, velocities=None)

@@ -130,6 +130,8 @@ class Clip:
         Raises:
             ValueError: If the list of frames is empty.
         """
+        if not frames:
+            raise ValueError("a clip needs at least one frame")
         first = frames[0].gaussians
 
         def stack(name: str) -> Array:
