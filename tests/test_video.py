@@ -151,6 +151,13 @@ def test_pictures_are_taken_one_by_one(tmp_path, monkeypatch):
     assert seen == list(range(1, 21))
 
 
+def test_the_largest_rate_may_have_rounding_errors(tmp_path):
+    """The rate of 12 frames at 240 frames per second, computed from their times."""
+    fps = 11 / (11 / 240)
+    assert fps > video.FPS_RANGE[1]
+    assert write_mp4(tmp_path / "a.mp4", [plain(0)], fps=fps) == 1
+
+
 @pytest.mark.parametrize("write", [write_mp4, write_animation])
 def test_refusals(tmp_path, write):
     name = "a.mp4" if write is write_mp4 else "a.webp"

@@ -350,7 +350,8 @@ def _check_picture(picture: Picture, shape: tuple[int, ...], channels: tuple[int
 
 def _check_rate(fps: float) -> None:
     low, high = FPS_RANGE
-    if not low <= fps <= high:  # also refuses NaN
+    # The rate of a clip is computed from its times, and therefore has rounding errors.
+    if not low <= round(fps, 6) <= high:  # also refuses NaN
         limit = f"the frame rate of a video must be from {low:g} to {high:g} frames per second."
         raise InputError("fps", fps, limit, "Choose 24.")
 
