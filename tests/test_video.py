@@ -228,12 +228,27 @@ def test_animation_endings(tmp_path):
         write_animation(tmp_path / "a.avi", [plain(0)], fps=24)
 
 
-def test_durations_add_up():
-    for fps in (24, 30, 29.97, 7):
-        for unit in (1, 10):
-            durations = video._durations(100, fps, unit)
-            assert abs(sum(durations) - 100_000 / fps) <= unit / 2
-            assert all(d % unit == 0 and d > 0 for d in durations)
+@pytest.mark.parametrize("fps", [24, 30, 29.97, 7, 49, 50, 60, 100, 240])
+@pytest.mark.parametrize("unit", [1, 10])
+def test_durations_add_up_and_browsers_respect_them(fps, unit):
+    chosen, durations = video._schedule(100, fps, unit)
+    rounding = unit if len(chosen) == 100 else durations[0]
+    assert abs(sum(durations) - 100_000 / fps) <= rounding / 2
+    assert all(d % unit == 0 and d > 10 for d in durations)
+    assert len(chosen) == len(durations) and max(np.diff(chosen), default=1) <= 5
+    assert (len(chosen) == 100) == (fps <= (50 if unit == 10 else 90))
+
+
+def test_a_fast_gif_leaves_out_frames(tmp_path):
+    pictures = [plain((250, 10 * k, 5)) for k in range(24)]
+    assert write_animation(tmp_path / "a.gif", pictures, fps=100) == 12
+    with Image.open(tmp_path / "a.gif") as image:
+        for k in range(image.n_frames):
+            image.seek(k)
+            assert image.info["duration"] == 20
+            shown = np.asarray(image.convert("RGB")).astype(int)
+            assert np.abs(shown - pictures[2 * k]).max() <= 8
+        assert image.n_frames == 12
 
 
 @pytest.mark.parametrize(

@@ -51,6 +51,8 @@ FILMS = {
 ANIMATIONS = {".gif": "GIF", ".webp": "WEBP"}
 OPAQUE = 128
 """A GIF shows the pixels whose alpha is at least this value; it has no half-transparent pixels."""
+SLOWED = 10
+"""Browsers show a picture of an animation for 100 ms if its duration is at most this value [ms]."""
 SMALLEST = 16
 """Smallest width or height to which an animation is reduced to limit the file size."""
 CLEAR = 255
@@ -149,11 +151,12 @@ def write_animation(
     fps: float,
     most: float | None = None,
 ) -> int:
-    """Write frames (uint8, [H,W,3 or 4]) as a looping .gif or .webp; return the number of frames.
+    """Write frames (uint8, [H,W,3 or 4]) as a looping .gif or .webp; return how many it shows.
 
     Times are stored as multiples of 1 ms in WebP, and of 10 ms in GIF, without accumulated rounding
-    errors. GIF has only 256 colours per frame and no half-transparent pixels. All frames are kept
-    in memory.
+    errors. Above 90 frames per second in WebP, and above 50 in GIF, frames are left out, because
+    browsers would slow the animation down. GIF has only 256 colours per frame and no
+    half-transparent pixels. All frames are kept in memory.
 
     Args:
         path: The file, which is written atomically.
@@ -175,7 +178,8 @@ def write_animation(
         convert = _gif_frame if kind == "GIF" else Image.fromarray
         images = [convert(picture) for picture in _peek(frames, channels=(3, 4))[1]]
         clear = {"transparency": CLEAR, "disposal": 2} if images[0].mode == "P" else {}
-        times = _durations(len(images), fps, 10 if kind == "GIF" else 1)
+        chosen, times = _schedule(len(images), fps, 10 if kind == "GIF" else 1)
+        images = [images[k] for k in chosen]
         scale, shown = 1.0, images
         smallest = SMALLEST / min(images[0].size)
         while True:
@@ -356,7 +360,12 @@ def _check_rate(fps: float) -> None:
         raise InputError("fps", fps, limit, "Choose 24.")
 
 
-def _durations(count: int, fps: float, unit: int) -> list[int]:
-    """Return the duration of each frame [ms]; file formats allow only multiples of `unit` ms."""
-    ends = np.rint(np.arange(count + 1) * 1000 / fps / unit).astype(int) * unit
-    return np.diff(ends).tolist()
+def _schedule(count: int, fps: float, unit: int) -> tuple[list[int], list[int]]:
+    """Return the indices of the frames that an animation shows, and their durations [ms].
+
+    The durations are multiples of `unit` [ms], as file formats require, and exceed `SLOWED`.
+    """
+    step = max(1.0, (SLOWED + unit) * fps / 1000)
+    shown = max(1, round(count / step))
+    ends = np.rint(np.arange(shown + 1) * step * 1000 / fps / unit).astype(int) * unit
+    return (np.arange(shown) * step).astype(int).tolist(), np.diff(ends).tolist()
