@@ -114,3 +114,15 @@ def test_a_file_that_has_no_room_does_not_stay(tmp_path, monkeypatch):
     with pytest.raises(OSError, match="too large"):
         grown(tmp_path / "frames")
     assert not (tmp_path / "frames").exists()
+
+
+def test_a_file_that_cannot_be_mapped_is_not_locked(tmp_path, monkeypatch):
+    def refuse(*_: object) -> None:
+        raise OSError(errno.ENOMEM, "Cannot allocate memory")
+
+    growing, *_ = grown(tmp_path / "frames")
+    growing.close()
+    with monkeypatch.context() as patch, pytest.raises(OSError, match="Cannot allocate"):
+        patch.setattr(np, "memmap", refuse)
+        Growing.there(tmp_path, growing.place())
+    Growing.there(tmp_path, growing.place()).close()

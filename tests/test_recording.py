@@ -175,6 +175,30 @@ def test_a_second_run_removes_the_state_of_the_first(tmp_path, monkeypatch):
     assert not names(tmp_path) - {".lock"}
 
 
+def test_a_state_that_fails_to_load_is_not_locked(tmp_path, every_frame, monkeypatch):
+    copy = copied_at(3, tmp_path / "whole", tmp_path / "killed")
+    pipeline.simulate(ball(300), SCENE, tmp_path / "whole", each=copy)
+    state = tmp_path / "killed/pause.safetensors"
+    frames = recording.resume.load(state).frames
+    assert len(recording.resume.load(state).frames) == len(frames) == 4
+
+    def fail(*_: object, **options: object) -> None:
+        raise MemoryError
+
+    with monkeypatch.context() as patch, pytest.raises(MemoryError):
+        patch.setattr(recording.resume, "load", fail)
+        recording.take_up(state.parent, RunContext())
+    run, taken = recording.take_up(state.parent, RunContext())
+    assert run is not None
+    taken.leave()
+    whole = bytearray(state.read_bytes())
+    whole[-1] ^= 1
+    state.write_bytes(whole)
+    for _ in range(2):
+        with pytest.raises(InputError, match="it was changed or damaged"):
+            pipeline.go_on(state.parent)
+
+
 def test_a_run_of_the_page_that_fails_leaves_nothing(tmp_path, every_frame, temporary):
     """A visitor of the page has no command to continue, and must not see the server's folders."""
 

@@ -80,19 +80,17 @@ class Growing:
             raise InputError(
                 "resume", path.parent, limit, "Wait until that process ends, or stop it."
             )
+        created = os.fstat(self._file).st_size == 0
         try:
             os.ftruncate(self._file, self._end)
+            self.arrays = {
+                name: np.memmap(path, CODES[array.code], "r", array.offset, array.shape)
+                for name, array in self.tensors.items()
+                if array.size
+            }
         except OSError:
-            if os.fstat(self._file).st_size == 0:
-                path.unlink()
-            os.close(self._file)
-            files.unlock(self._held)
+            self.remove() if created else self.close()
             raise
-        self.arrays = {
-            name: np.memmap(path, CODES[array.code], "r", array.offset, array.shape)
-            for name, array in self.tensors.items()
-            if array.size
-        }
         """Memory-mapped arrays by name; rows of frames that are not yet written are zero."""
 
     @classmethod

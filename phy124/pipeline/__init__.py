@@ -249,9 +249,9 @@ def go_on(
     interrupted = Scene.from_data(about["scene"], str(path))
     refuse_unfilmable(interrupted)
     refuse_folder(Path(out), interrupted.view)
-    frames = resume.frames_of(path)
     entries = {name: value for name, value in about.items() if name not in ("scene", "frames")}
     cutout = resume.read_files(path).get(CUTOUT)
+    frames = resume.frames_of(path)  # locked until `fill` ends
     folder = RunFolder(
         Path(out),
         context,

@@ -217,9 +217,12 @@ def take_up(out: Path | None, context: RunContext) -> tuple[Simulation | None, R
         saved = resume.read_about(out / PAUSE)["frames"]
         frames = resume.frames_of(out / PAUSE)
         run = resume.load(out / PAUSE, context, frames=frames)
-    except InputError:  # the saved state is damaged, or another version of phy124 wrote it
+    except BaseException as error:
         if frames is not None:
             frames.close()
+        if not isinstance(error, InputError):
+            raise
+        # The saved state is damaged, or another version of phy124 wrote it.
         return None, Recording(out, {})
     return run, Recording(out, {}, frames=frames, saved=saved)
 

@@ -106,7 +106,9 @@ def load(
     """
     context = context or RunContext()
     metadata, tensors = _read(Path(path))
-    saved = _saved_frames(metadata, tensors, frames or frames_of(path))
+    if frames is None and (frames := frames_of(path)) is not None:
+        frames.close()  # releases the lock; the frames can still be read
+    saved = _saved_frames(metadata, tensors, frames)
     means, quats, scales, opacities, sh = (tensors[f"given.{name}"] for name in GAUSSIANS)
     left, top, right, bottom = metadata["crop"]
     if context.threads is None:
