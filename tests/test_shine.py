@@ -153,6 +153,7 @@ def test_thick_liquid_lets_less_light_through(solid):
     assert thin.rgb.mean() > thick.rgb.mean(), "a thin layer is pale"
     opaque = Liquid(solid, 2 * CELL, None).shape(still(solid))
     assert dims(opaque) > 3 * dims(thick)
+    assert opaque.opacities.max() <= 1
 
 
 def test_a_liquid_with_more_gaussians_is_not_paler():

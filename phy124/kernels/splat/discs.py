@@ -385,7 +385,7 @@ def shape_gaussians(
         overlapping = wp.max(2.0 * wp.pi * radius * radius * layer, 0.5)
         opacity = 1.0 - wp.exp(-wp.max(depth, LEAST_DEPTH) / overlapping)
         # Drawing omits alphas below MIN_ALPHA, as if opacities were lower by MIN_ALPHA.
-        opacity = shape.fade * wp.max(opacity, MILKY * shape.foam) + MIN_ALPHA
+        opacity = wp.min(shape.fade * wp.max(opacity, MILKY * shape.foam) + MIN_ALPHA, 1.0)
         pale = THIN * wp.exp(-2.0 * depth)
         scale = radius * wp.vec3(1.0, 1.0, FLAT + shape.foam * (THICK - FLAT))
         quat = turn_to(shape.normal)
