@@ -364,31 +364,6 @@ def test_eight_at_a_time_are_deformed_as_one_by_one(rng, count):
             np.testing.assert_allclose(b, a, rtol=3e-6, atol=3e-7, err_msg=name)
 
 
-@pytest.mark.parametrize("count", [1, 8, 1003])
-def test_eight_at_a_time_are_carried_as_one_by_one(rng, count):
-    """Half of the Gaussians flow, and most of their arms are longer than allowed."""
-    x = rng.normal(0, 1, (count, 3)).astype(np.float32)
-    F = rng.normal(0, 4, (count, 3, 3)).astype(np.float32)
-    carriers, weights = rng.integers(0, count, (count, 8)), rng.random((count, 8))
-    flows = rng.random(count) < 0.5
-    inputs = [
-        wp.array(carriers, dtype=wp.int32),
-        wp.array(weights, dtype=wp.float32),
-        wp.array(rng.normal(0, 1, (count, 3)), dtype=wp.vec3f),
-        wp.array(flows, dtype=wp.bool),
-        wp.array(rng.normal(0, 1, (count, 3)), dtype=wp.vec3f),
-        wp.array(x, dtype=wp.vec3f),
-        wp.array(F, dtype=wp.mat33f),
-    ]
-    results = []
-    for make, each in ((deform.make_carry, 1), (deform.make_carry_simd, 8)):
-        out = [wp.zeros(count, dtype=wp.vec3f), wp.zeros(count, dtype=wp.mat33d)]
-        wp.launch(make(wp.float32), -(-count // each), inputs, out, device="cpu")
-        results.append([array.numpy().copy() for array in out])
-    for single, eight, digits in zip(*results, (1e-6, 1e-13), strict=True):
-        np.testing.assert_allclose(eight, single, rtol=digits, atol=30 * digits)
-
-
 @pytest.mark.parametrize("binding", ["particles", "lattice"])
 def test_state_stays_on_its_device(binding, monkeypatch):
     """A GPU's positions and F are checked and read there; the host gets only the shapes."""

@@ -23,7 +23,7 @@ from phy124.kernels.axes import (
 )
 from phy124.kernels.build import build_once, kernel
 from phy124.kernels.diagnostics import wide
-from phy124.kernels.native import code, constants, native_func, native_kernel
+from phy124.kernels.native import code, constants, native_func
 from phy124.kernels.spectral import to_double
 
 MODULE = "phy124_deform"
@@ -238,17 +238,6 @@ def make_carry(real: Any):
         deformation_out[i] = part * f
 
     return carry
-
-
-@build_once
-def make_carry_simd(real: Any):
-    """Kernel: computes the same as `make_carry`, with vector instructions of a CPU.
-
-    Each thread handles eight Gaussians. tests/test_deform.py compares both versions.
-    """
-    body = constants("double", ARM=ARM.value) + code("carry")
-    module = f"phy124_carry_simd_{real.__name__}"
-    return native_kernel(module, body, name="carry_simd", seconds=0.4)(make_carry(real).func)
 
 
 @build_once

@@ -12,6 +12,7 @@ relative change of the covariance is at most 1e-5.
 """
 
 from dataclasses import replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -157,13 +158,13 @@ class Deformer:
         quats = wp.empty(n, dtype=vec4, device=device)
         real = _precision(F)
         lattice = self.binding.weights is not None
-        carry, carried = carry_of(real, device, lattice=lattice)
+        carry = carry_of(real, lattice=lattice)
         # Particles keep their precision; the kernel converts the values that it reads.
         shared = [self._rest, x, F] if lattice else [x, F]
         shapes, each = shapes_of(device)
         rest = [self._quats0, self._scales0, *self._limits, self._quats]
         steps = [
-            Step(carry, self._carried, shared, [means, DEFORMATION], carried),
+            Step(carry, self._carried, shared, [means, DEFORMATION]),
             Step(shapes, rest, [DEFORMATION], [self._inner, quats, scales], each),
         ]
         if self.gaussians.sh_degree:
@@ -185,7 +186,7 @@ class Deformer:
             velocities = self.binding.interpolate(velocities)
         return Frame(index, time, frame, velocities)
 
-    @property
+    @cached_property
     def carriers(self) -> NDArray[np.int32]:
         """Indices of the particles that carry Gaussians [C]."""
         carry = np.zeros(self._count, bool)
@@ -266,16 +267,14 @@ def shapes_of(device: str) -> tuple[Any, int]:
     return (deform.deform_shapes_simd, 8) if device == "cpu" else (deform.deform_shapes, 1)
 
 
-def carry_of(real: Any, device: str, *, lattice: bool) -> tuple[Any, int]:
-    """Return the kernel that moves Gaussians, and the number of Gaussians per thread."""
-    if not lattice:
-        return deform.make_follow(real), 1
-    return (deform.make_carry_simd(real), 8) if device == "cpu" else (deform.make_carry(real), 1)
+def carry_of(real: Any, *, lattice: bool) -> Any:
+    """Return the kernel that moves Gaussians."""
+    return deform.make_carry(real) if lattice else deform.make_follow(real)
 
 
 def kernels(real: Any, binding: str, device: str) -> list[Any]:
     """Return the kernels that deform the Gaussians of a frame."""
     lattice = binding == "lattice"
     search = [carriers.find_carriers] if lattice else []
-    carry = carry_of(real, device, lattice=lattice)[0]
+    carry = carry_of(real, lattice=lattice)
     return [shapes_of(device)[0], carry, *search, deform.make_count_broken(real)]

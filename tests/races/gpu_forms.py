@@ -42,7 +42,6 @@ def choose() -> None:
     replace(projection, "parts_on", parts_on)
     as_on_gpu(model, "form_of")
     as_on_gpu(deform, "shapes_of")
-    as_on_gpu(deform, "carry_of")
     replace(shadow, "covering", lambda device: (cover, 1))
     grids_of = solver.grids_of
 
