@@ -14,6 +14,7 @@ from phy124.pipeline.capture import capture
 from phy124.rendering import framing, nearest
 from phy124.rendering.framing import cameras, departures, describe_framing
 from phy124.rendering.nearest import CLOSE, DEPTHS, ROOM, Sample
+from phy124.rendering.stage.rest import AtRest
 from phy124.rendering.stage.solids import span_container
 from phy124.scene import Scene, View
 from phy124.simulation import Simulation, prepare
@@ -311,7 +312,7 @@ def test_a_container_is_shown_whole_unless_it_is_large(width, whole):
     )
     chosen = view(**FITS, stage="studio")
     camera, alone = cameras(tank, chosen, "front")[0], cameras(clip, chosen, "front")[0]
-    corners = np.array(span_container(Container(inside=inside), *Sample.of(tank).corners))
+    corners = np.array(span_container(Container(inside=inside), AtRest.of(tank)))
     points = [[corners[i, 0], corners[j, 1], corners[k, 2]] for i, j, k in np.ndindex(2, 2, 2)]
     pixels = camera.project(np.array(points))[0] / chosen.size
     assert (pixels.min() > 0 and pixels.max() < 1) == whole

@@ -21,6 +21,7 @@ from phy124.rendering.render import Renderer
 from phy124.rendering.stage.build import Stage, make_stage
 from phy124.rendering.stage.frame import POOL, Backdrop, Floor, Solid, StageFrame, bounds
 from phy124.scene import Scene, View
+from phy124.simulation import Simulation, prepare
 from support.clips import flight
 from support.shapes import ball
 
@@ -189,6 +190,28 @@ def test_a_boundary_of_a_named_object_is_drawn():
     clip = Clip.from_frames([HERE])
     named = replace(clip, scene={"boundaries": [{"kind": "ground", "object": "below"}]})
     assert make_stage(named, STUDIO).at(HERE).floor.height == 0
+
+
+def test_plates_are_drawn_on_the_object_that_they_press():
+    shape = {"shape": "box", "size": 0.5}
+    scene = Scene.from_data(
+        {
+            "objects": [
+                {**shape, "name": "low", "place": [0, 1]},
+                {**shape, "name": "post", "place": [0, 2], "size": 2, "static": True},
+            ],
+            "boundaries": [{"kind": "press"}, {"kind": "press", "object": "low"}],
+            "time": {"frames": 1},
+            "accuracy": {"cells": 12},
+        }
+    )
+    run = Simulation(prepare(ball(500), scene))
+    stage = make_stage(run.run(), STUDIO)
+    assert len(stage.walls) == 2
+    for wall, (plate, _, _) in zip(scene.boundaries, stage.walls, strict=True):
+        bottom = plate.centre[2] - plate.half[0]
+        assert bottom == pytest.approx(wall.geometry(run.solver.model)[0][2], abs=scene.dx / 2)
+    assert stage.walls[1][0].half[1:] == pytest.approx(1.1 * 0.25, rel=0.1)
 
 
 def test_plugin_boundaries_are_drawn_by_their_shape():

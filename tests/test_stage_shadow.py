@@ -122,7 +122,7 @@ def test_the_shade_ends_before_the_map_does(rng, monkeypatch):
         Frame(i, i / 24, Gaussians.from_rgb(at, quats, scales, np.full(n, 0.9), np.ones((n, 3))))
         for i, at in enumerate(places)
     ]
-    stage = make_stage(Clip.from_frames(frames), View(stage="studio"), rest=walls)
+    stage = make_stage(Clip.from_frames(frames), View(stage="studio"))
     shade = stage.at(frames[-1]).floor.shade
     border = np.concatenate([shade[[0, -1]].ravel(), shade[:, [0, -1]].ravel()])
     # The rest fades over a tenth of the map, a quarter of a level of a picture per cell.

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, Protocol
 
 import numpy as np
@@ -60,22 +59,6 @@ class Rest(Protocol):
     def top_of(self, name: str | None) -> float:
         """Return the height of the named object's top [m]; None: of all objects."""
         ...
-
-
-@dataclass(frozen=True, eq=False)
-class AtRest:
-    """Positions of an object at rest, for code that has no `Model`."""
-
-    rest: NDArray[np.float64]
-    """Positions at rest [P,3], m."""
-
-    def rest_of(self, name: str | None) -> NDArray[np.float64]:
-        """Return the positions at rest; the name is ignored, because there is one object."""
-        return self.rest
-
-    def top_of(self, name: str | None) -> float:
-        """Return the height of the top [m]; the name is ignored, because there is one object."""
-        return float(self.rest[:, 2].max())
 
 
 class Boundary(Section):

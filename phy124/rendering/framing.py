@@ -15,6 +15,7 @@ from phy124.errors import InputError
 from phy124.io.clip import Clip
 from phy124.rendering.nearest import OUTSIDE, Sample, Values, place_along, place_nearest
 from phy124.rendering.stage.build import boundaries_of
+from phy124.rendering.stage.rest import AtRest
 from phy124.rendering.stage.solids import span_container
 from phy124.scene import View
 from phy124.scene.cameras import Poses
@@ -105,12 +106,11 @@ def _nearest(clip: Clip, view: View, poses: Poses) -> list[Camera]:
 
 
 def _containers(clip: Clip, view: View) -> Iterator[NDArray]:
-    corners = Sample.of(clip).corners
-    if view.stage != "studio" or corners is None:
+    if view.stage != "studio" or Sample.of(clip).corners is None:
         return
     for boundary in boundaries_of(clip):
         if isinstance(boundary, Container) and boundary.motion is None:
-            box = np.array(span_container(boundary, *corners))
+            box = np.array(span_container(boundary, AtRest.of(clip)))
             yield np.array([[box[i, 0], box[j, 1], box[k, 2]] for i, j, k in np.ndindex(2, 2, 2)])
 
 

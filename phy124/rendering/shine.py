@@ -25,6 +25,7 @@ from phy124.rendering.fragments import Fragments
 from phy124.rendering.liquid import NOWHERE, Liquid, Planes, Surface, smoothstep
 from phy124.rendering.matte import find_matte, illuminate
 from phy124.rendering.stage.build import boundaries_of
+from phy124.rendering.stage.rest import AtRest
 from phy124.rendering.stage.solids import place_walls
 from phy124.scene import Scene, View
 
@@ -314,10 +315,9 @@ def _length(a: NDArray) -> NDArray:
 
 
 def _planes(clip: Clip) -> list[Planes]:
-    rest = _finite(np.asarray(clip.means[0][clip.object_mask], np.float64))
     walls = [
         wall
-        for wall in place_walls(boundaries_of(clip), rest)
+        for wall in place_walls(boundaries_of(clip), AtRest.of(clip))
         if wall.outline == "half_space" and not wall.holds
     ]
     normals = np.array([wall.shape[1] for wall in walls]).reshape(-1, 3)

@@ -17,6 +17,7 @@ from phy124.gaussians import Array, Frame
 from phy124.imaging.image import open_image
 from phy124.io.clip import Clip
 from phy124.rendering.stage.frame import POOL, Backdrop, Floor, Solid, StageFrame, bounds
+from phy124.rendering.stage.rest import AtRest
 from phy124.rendering.stage.shadow import GLASS, SLOPE, Caster, Glass
 from phy124.rendering.stage.solids import floor_heights, place_walls
 from phy124.scene import View
@@ -84,15 +85,12 @@ class Stage:
         return Floor(height, caster.middle, caster.reach, shade, self.pool)
 
 
-def make_stage(
-    clip: Clip, view: View, *, rest: NDArray | None = None, device: str = "cpu"
-) -> Stage | None:
+def make_stage(clip: Clip, view: View, *, device: str = "cpu") -> Stage | None:
     """Build the stage of a clip; None if the view shows the object in front of a plain background.
 
     Args:
         clip: The clip.
         view: View that defines the stage and the background.
-        rest: Positions of the object at rest [N,3], m. If None, the positions in the first frame.
         device: Warp's name of the device that computes the shadows.
 
     Raises:
@@ -103,12 +101,11 @@ def make_stage(
     if view.stage == "transparent":
         return None
     background = backdrop(view)
-    rest = np.asarray(clip.means[0][clip.object_mask] if rest is None else rest)
-    # In column-major order, minimum and maximum are several times faster.
-    rest = np.asfortranarray(rest[_finite(rest)], np.float64)
+    body = AtRest.of(clip)
+    rest = body.points
     if view.stage == "plain" or not len(rest):
         return Stage(background, np.zeros(len(clip)), (), None)
-    walls = place_walls(boundaries_of(clip), rest)
+    walls = place_walls(boundaries_of(clip), body)
     heights = floor_heights(walls, rest, clip.times)
     shown = tuple(
         (wall.solid(), wall.displacements(clip.times), wall.present(clip.times))

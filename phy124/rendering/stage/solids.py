@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phy124.boundaries import Boundary, Container
-from phy124.boundaries.base import AtRest
 from phy124.mpm.tracks import Track
 from phy124.rendering.stage.frame import Solid
+from phy124.rendering.stage.rest import AtRest
 
 LEVEL = 0.999
 """Cosine of the largest slope with which a plane counts as a floor."""
@@ -68,20 +68,18 @@ class PlacedWall:
         return _between(*self.span) if self.holds else SHAPES[self.outline](self)
 
 
-def place_walls(boundaries: Sequence[Boundary], rest: NDArray) -> list[PlacedWall]:
-    """Split boundaries into simple walls, and place them around an object at rest [N,3], m."""
-    walls = [wall for boundary in boundaries for wall in _walls(boundary, rest)]
+def place_walls(boundaries: Sequence[Boundary], body: AtRest) -> list[PlacedWall]:
+    """Split boundaries into simple walls, and place each around the objects on which it acts."""
+    walls = [wall for boundary in boundaries for wall in _walls(boundary, body)]
     # Slopes are drawn down to the floor, because material may slide along them to the floor.
     floors = [wall.height for wall in walls if wall.is_floor]
     return [replace(wall, floor=max(floors, default=math.inf)) for wall in walls]
 
 
-def _walls(boundary: Boundary, rest: NDArray) -> Iterator[PlacedWall]:
-    body = AtRest(rest)
-    low, high = rest.min(axis=0), rest.max(axis=0)
-    span = _around(low, high)
-    if isinstance(boundary, Container):
-        span = span_container(boundary, low, high)
+def _walls(boundary: Boundary, body: AtRest) -> Iterator[PlacedWall]:
+    rest = body.touched(boundary.object)
+    contains = isinstance(boundary, Container)
+    span = span_container(boundary, body) if contains else _around(*_corners(rest))
     for part in boundary.parts():
         outline, shape = _shape(part, body)
         if shape is not None:
@@ -89,16 +87,20 @@ def _walls(boundary: Boundary, rest: NDArray) -> Iterator[PlacedWall]:
             yield replace(wall, span=_clamped_span(wall, rest)) if part.holds else wall
 
 
-def span_container(container: Container, low: NDArray, high: NDArray) -> Corners:
-    """Return the box that is drawn for a container around an object.
+def span_container(container: Container, body: AtRest) -> Corners:
+    """Return the box that is drawn for a container around the objects on which it acts [m].
 
-    The object at rest lies between the corners `low` and `high` [m]. The box ends slightly above
-    the object, and open sides end at 2 object sizes.
+    The box ends slightly above the objects at rest, and open sides end at 2 object sizes.
     """
+    low, high = _corners(body.touched(container.object))
     size = float((high - low).max())
     room = size * np.array([2.0, 2.0, 0.1])
     inside = (np.array(container.inside.lower), np.array(container.inside.upper))
     return np.maximum(inside[0], low - 2 * size), np.minimum(inside[1], high + room)
+
+
+def _corners(points: NDArray) -> Corners:
+    return points.min(axis=0), points.max(axis=0)
 
 
 def _shape(part: Boundary, body: AtRest) -> tuple[str, NDArray[np.float64] | None]:
