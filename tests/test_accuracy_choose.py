@@ -10,11 +10,13 @@ from phy124.__main__ import main
 from phy124.accuracy import choose
 from phy124.accuracy.choose import Goal, run_for_goal
 from phy124.accuracy.convergence import distances
+from phy124.accuracy.forecast import Forecaster
 from phy124.accuracy.goal import UNIT
 from phy124.accuracy.promises import promise
 from phy124.errors import InputError
 from phy124.monitor.tearing import Tearing
 from phy124.particles.thickness import Proportions
+from phy124.pipeline import disk_space, simulate
 from phy124.runtime.context import RunContext
 from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
@@ -213,7 +215,7 @@ def test_a_time_goal_takes_the_finest_grid_that_fits(monkeypatch, seconds, cells
             self.scene = setup.scene
             built.append(setup.scene.resolution.cells)
 
-        def run(self, record):
+        def run(self, each, *, record):
             return None
 
     monkeypatch.setattr(choose, "prepare", set_up)
@@ -222,6 +224,25 @@ def test_a_time_goal_takes_the_finest_grid_that_fits(monkeypatch, seconds, cells
     assert reached.about["cells"] == cells
     assert reached.about["predicted"] <= seconds
     assert len(built) <= 6
+
+
+@pytest.mark.parametrize("goal", [Goal.error("50%"), Goal.time(1000)])
+def test_a_run_with_a_goal_is_watched_like_others(quick, goal, tmp_path, monkeypatch):
+    monkeypatch.setattr(disk_space.shutil, "disk_usage", lambda path: SimpleNamespace(free=9))
+    seen = []
+    by_time = {"forecaster": Forecaster()} if goal.kind == "seconds" else {}
+    with pytest.warns(UserWarning, match="of free space"):
+        report = simulate(
+            ball(300),
+            quick,
+            tmp_path,
+            films=False,
+            goal=goal,
+            each=lambda run, frame: seen.append((run.scene.resolution.cells, frame.index)),
+            **by_time,
+        ).report
+    assert seen == [(report["goal"]["cells"], index) for index in range(6)]
+    assert ("forecast" in report) == bool(by_time)
 
 
 def test_a_time_too_short_is_refused(monkeypatch):

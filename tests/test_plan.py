@@ -114,15 +114,18 @@ def test_a_dry_run_tells_the_grid_that_a_time_leads_to(file, tmp_path, capsys, m
     assert "asked for at most 1000 s: D/" in capsys.readouterr().out
     assert main([*arguments, "--max-error", "2%"]) == 2
     assert "Remove --dry-run" in capsys.readouterr().err
+    assert main([*arguments[:-1], "--max-error", "2%", "--forecast"]) == 2
+    assert "Remove --forecast" in capsys.readouterr().err
 
 
 def test_simulate_meets_a_time_and_compares_its_forecast(file, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("phy124.accuracy.choose.CELLS", (8, 10))
     monkeypatch.setattr("phy124.accuracy.choose.START", 8)
     arguments = ["simulate", str(file), "--out", str(tmp_path / "o"), *SMALL, *BY_PARTICLES]
-    assert main([*arguments, "--max-seconds", "1000"]) == 0
+    assert main([*arguments, "--max-seconds", "1000", "--forecast"]) == 0
     assert "asked for at most 1000 s: D/" in capsys.readouterr().out
-    assert json.loads((tmp_path / "o/report.json").read_text())["goal"]["cells"] in (8, 10)
+    report = json.loads((tmp_path / "o/report.json").read_text())
+    assert report["goal"]["cells"] in (8, 10) and report["forecast"]["predicted"] > 0
     assert main([*arguments, "--accuracy", "draft", "--forecast"]) == 0
     assert "predicted " in capsys.readouterr().out
 

@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import combinations
 from typing import Any, NamedTuple
 
@@ -30,7 +31,7 @@ from phy124.accuracy.forecast import Forecast, Forecaster
 from phy124.accuracy.goal import MARGIN, UNIT, Goal, explain_time, format_error
 from phy124.budget.limits import duration
 from phy124.errors import InputError
-from phy124.gaussians import Gaussians
+from phy124.gaussians import Frame, Gaussians
 from phy124.imaging.painted import WHOLE, Crop
 from phy124.io.clip import Clip
 from phy124.monitor.tearing import Tearing
@@ -67,6 +68,8 @@ class Reached:
     clip: Clip
     about: dict[str, Any]
     """Goal, chosen grid and result, for the report."""
+    forecast: Forecast | None = None
+    """The forecast that led to the grid; None if the goal is an error."""
 
 
 def run_for_goal(
@@ -78,7 +81,9 @@ def run_for_goal(
     elapsed: float = 0.0,
     crop: Crop = WHOLE,
     forecaster: Forecaster | None = None,
+    begin: Callable[[Simulation], object] = lambda run: None,
     see: Callable[[Simulation], object] = lambda run: None,
+    each: Callable[[Simulation, Frame], object] | None = None,
 ) -> Reached:
     """Run a scene on the grid that meets a goal; the number of cells in the scene is ignored.
 
@@ -90,17 +95,23 @@ def run_for_goal(
         elapsed: Part of the maximum time that is already used [s].
         crop: Position of the object in the picture with the masks of parts.
         forecaster: Predicts times; None: a new forecaster.
+        begin: Function called with the simulation before each run.
         see: Function called with the simulation after each frame of each run.
+        each: Function called with the chosen simulation and each frame; if the goal is an error,
+            after the last run, because the chosen run is then unknown before.
 
     Raises:
         InputError: No grid meets the goal. The message states the error or time of the best grid.
     """
     context = context or RunContext()
     forecaster = forecaster or Forecaster(context)
-    runs = _Runs(gaussians, scene, context, crop, see)
+    runs = _Runs(gaussians, scene, context, crop, begin, see)
     if goal.kind == "seconds":
-        return _meet_time(goal, runs, forecaster, elapsed)
-    return _meet_error(goal, runs)
+        return _meet_time(goal, runs, forecaster, elapsed, each)
+    reached = _meet_error(goal, runs)
+    for frame in reached.clip.frames() if each is not None else ():
+        each(reached.simulation, frame)
+    return reached
 
 
 @dataclass
@@ -109,6 +120,7 @@ class _Runs:
     scene: Scene
     context: RunContext
     crop: Crop
+    begin: Callable[[Simulation], object] = lambda run: None
     see: Callable[[Simulation], object] = lambda run: None
     done: dict[int, tuple[Simulation, Clip]] = field(default_factory=dict)
     spent: dict[int, float] = field(default_factory=dict)
@@ -145,9 +157,10 @@ class _Runs:
         simulation = self.simulation(cells)
         self.done[cells] = simulation, self.run(simulation)
 
-    def run(self, simulation: Simulation) -> Clip:
+    def run(self, simulation: Simulation, each: Callable[[Frame], object] | None = None) -> Clip:
         """Run a simulation and return its clip."""
-        return simulation.run(record=self.see)
+        self.begin(simulation)
+        return simulation.run(each, record=self.see)
 
     def _make_denser(self, cells: int) -> None:
         """Repeat a run in which the material tore; use more particles per cell, or give up at the
@@ -348,11 +361,17 @@ class _Fit(NamedTuple):
     tried: list[int]
 
 
-def _meet_time(goal: Goal, runs: _Runs, forecaster: Forecaster, elapsed: float) -> Reached:
+def _meet_time(
+    goal: Goal,
+    runs: _Runs,
+    forecaster: Forecaster,
+    elapsed: float,
+    each: Callable[[Simulation, Frame], object] | None,
+) -> Reached:
     start = runs.context.watch.total
     cells, simulation, forecast, tried = _find_finest(goal, runs, forecaster, elapsed)
     ready = runs.context.watch.total - start
-    clip = runs.run(simulation)
+    clip = runs.run(simulation, each and partial(each, simulation))
     about = {
         "target": goal.text,
         "unit": "seconds",
@@ -361,7 +380,7 @@ def _meet_time(goal: Goal, runs: _Runs, forecaster: Forecaster, elapsed: float) 
         "predicted": elapsed + forecast.seconds + ready,
         "caveat": forecast.caveat,
     }
-    return Reached(simulation, clip, about)
+    return Reached(simulation, clip, about, forecast)
 
 
 def _find_finest(goal: Goal, runs: _Runs, forecaster: Forecaster, elapsed: float) -> _Fit:

@@ -68,6 +68,19 @@ class Goal:
         return cls("seconds", float(seconds), f"{seconds:g} s")
 
 
+def refuse_forecast(goal: Goal | None, wanted: bool, field: str) -> None:
+    """Refuse to forecast a run whose goal is an error; `field` is the option that asks for it.
+
+    Raises:
+        InputError: A forecast is wanted, and the goal is an error.
+    """
+    if wanted and goal is not None and goal.kind != "seconds":
+        limit = "the grid that meets this error is known only after coarser grids have run."
+        option = f"--{field.replace('_', '-')}"
+        remedy = f"Remove {option}, or set --accuracy instead of --max-error."
+        raise InputError(field, f"with --max-error {goal.text}", limit, remedy)
+
+
 def format_error(kind: Kind, value: float) -> str:
     """Format an error: "1.8 px", "0.84 %", "3.4 mm"."""
     if kind == "pixels":

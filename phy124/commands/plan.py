@@ -9,6 +9,7 @@ import tyro
 from phy124.accuracy import Forecaster
 from phy124.accuracy.choose import Goal, in_time
 from phy124.accuracy.companion import AFFORDABLE, ON_LATTICE
+from phy124.accuracy.goal import refuse_forecast
 from phy124.accuracy.promises import format_percent, promise
 from phy124.budget.limits import note_costs
 from phy124.errors import InputError
@@ -29,7 +30,7 @@ class PlanOptions:
 
     forecast: bool = False
     """Predict the time before the run, which takes about a second. The report compares the
-    predicted with the actual time.
+    predicted with the actual time. Not possible with --max-error.
     """
     dry_run: bool = False
     """Only print the stages, their predicted times and the error bound; write no files."""
@@ -54,18 +55,17 @@ class PlanOptions:
         """Return the requested maximum error or maximum time; None if there is none.
 
         Raises:
-            InputError: Both a maximum error and a maximum time are set, or a value is out of bounds
-                or has an unknown unit.
+            InputError: Both a maximum error and a maximum time are set, a maximum error and a
+                forecast, or a value is out of bounds or has an unknown unit.
         """
         if self.max_error is not None and self.max_seconds is not None:
             limit = "--max-error is also set."
             raise InputError("max_seconds", self.max_seconds, limit, "Give one of the two.")
-        if self.max_error is not None and self.dry_run:
-            limit = "the grid that meets this error is known only after coarser grids have run."
-            remedy = "Remove --dry-run, or set --accuracy instead of --max-error."
-            raise InputError("dry_run", f"with --max-error {self.max_error}", limit, remedy)
         if self.max_error is not None:
-            return Goal.error(self.max_error)
+            goal = Goal.error(self.max_error)
+            for name in ("dry_run", "forecast"):
+                refuse_forecast(goal, getattr(self, name), name)
+            return goal
         return None if self.max_seconds is None else Goal.time(self.max_seconds)
 
     def forecaster(self, context: RunContext) -> Forecaster | None:

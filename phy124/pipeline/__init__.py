@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from phy124.accuracy.choose import Goal, run_for_goal
 from phy124.accuracy.forecast import Forecaster
+from phy124.accuracy.goal import refuse_forecast
 from phy124.errors import InputError
 from phy124.gaussians import Frame, Gaussians
 from phy124.imaging.cutout import Cutout
@@ -79,7 +80,7 @@ def generate(
         goal: Largest error or longest time, for which the accuracy is chosen
             (`phy124.accuracy.choose`).
         forecaster: Predicts the time of the run. The report states the predicted and the actual
-            time.
+            time. A run with a maximum error has none.
         keep: Whether a cancelled run keeps its frames for `go_on`.
         error: Whether to estimate the error of the run, if the estimate takes little time.
         **making: `device`, `threads` and `progress` if there is no context, and options of
@@ -91,6 +92,7 @@ def generate(
         Cancelled: `progress` raised it.
     """
     context = RunContext.pop(context, making)
+    refuse_forecast(goal, forecaster is not None, "forecast")
     refuse_threads(context.threads)
     refuse_missing(scene)
     first, more = split(image)
@@ -147,13 +149,14 @@ def simulate(
         goal: Largest error or longest time, for which the accuracy is chosen
             (`phy124.accuracy.choose`).
         forecaster: Predicts the time of the run. The report states the predicted and the actual
-            time.
+            time. A run with a maximum error has none.
         keep: Whether a cancelled run saves and renders its frames, for `go_on`.
         films: Whether videos are made.
         rescues: Whether finished frames are saved if the run fails or its folder has no space.
         error: Whether to estimate the error of the run, if the estimate takes little time
             (`phy124.accuracy.companion`).
-        each: Called with the simulation and every frame, except in trial runs for `goal`.
+        each: Called with the simulation and every frame, except in trial runs for `goal`. If the
+            goal is an error, all calls follow the last run.
         **fields: `device`, `threads` and `progress`, if there is no context.
 
     Raises:
@@ -162,6 +165,7 @@ def simulate(
         Cancelled: `progress` raised it.
     """
     context = RunContext.of(context, **fields)
+    refuse_forecast(goal, forecaster is not None, "forecast")
     refuse_missing(scene)
     if films:
         refuse_unfilmable(scene)
@@ -170,6 +174,9 @@ def simulate(
     folder = RunFolder(
         Path(out), context, dict(about or {}), keep, png, films=films, rescues=rescues, error=error
     )
+
+    def begin(run: Simulation) -> None:
+        warn_of_disk_space(run, folder.out, films=films)
 
     def run_scene() -> tuple[Simulation, Clip]:
         if goal is not None:
@@ -180,16 +187,19 @@ def simulate(
                 context,
                 elapsed=context.watch.total,
                 crop=crop,
-                forecaster=Forecaster(context, error),
+                forecaster=forecaster or Forecaster(context, error),
+                begin=begin,
                 see=folder.recording.see,
+                each=each,
             )
             folder.about["goal"] = reached.about
+            folder.predicted = reached.forecast if forecaster is not None else None
             return reached.simulation, reached.clip
         setup = prepare(gaussians, scene, context, crop=crop)
         with ThreadPoolExecutor(1, "proportions") as pool:
             pool.submit(lambda: setup.proportions)  # computed now, for the report
             run = Simulation(setup)
-        warn_of_disk_space(run, folder.out, films=films)
+        begin(run)
         if forecaster is not None:
             with context.watch.stage("forecast"):
                 folder.predicted = forecaster.of(run, error=folder.error)
