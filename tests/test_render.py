@@ -306,6 +306,22 @@ def test_started_pictures_are_those_of_single_calls(rng, monkeypatch):
     assert sorted(reads) == [1, 130 * 90 * 3], "the number of entries, and a byte per channel"
 
 
+def test_pictures_are_copied_before_buffers_are_reused(rng, monkeypatch):
+    """Another thread may start a picture as soon as the lock of the GPU is free."""
+    g, renderer = cloud(rng, 800), Renderer(device="cpu", blend="pixel")
+    front, side = (Camera.orbit(azimuth, 0, 1.5, (130, 90)) for azimuth in (0, 80))
+    expected = renderer.picture(g, front)
+    finish = renderer._finish
+
+    def start_another(*arguments):
+        drawn = finish(*arguments)
+        renderer.start_picture(g, side)
+        return drawn
+
+    monkeypatch.setattr(renderer, "_finish", start_another)
+    np.testing.assert_array_equal(renderer.picture(g, front), expected)
+
+
 def test_runs_cover_every_tile_once_within_the_limit():
     counts = np.array([5, 0, 0, 7, 30, 1, 1, 1, 0])
     runs = list(render.runs(counts, 10))

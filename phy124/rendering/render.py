@@ -171,7 +171,7 @@ class Renderer:
         shape = (camera.height, camera.width, 3)
         if self._per_pixel:
             finish = self._start(gaussians, camera, background, stage, ("bytes",))
-            return lambda: finish()["bytes"].reshape(shape).copy()
+            return lambda: finish()["bytes"].reshape(shape)
         image = self._start(gaussians, camera, background, stage, ("image",))()["image"]
         # The image is changed in place, because allocating memory for each picture takes up to half
         # as long as drawing.
@@ -216,7 +216,14 @@ class Renderer:
             return self._room
 
         room = draw()
-        return lambda: self._finish(copies, draw, room)
+
+        def finish() -> dict[str, NDArray[Any]]:
+            drawn = {name: a.copy() for name, a in self._finish(copies, draw, room).items()}
+            # From now on, another thread may start a picture that overwrites the host's buffers.
+            self._free.append(copies)
+            return drawn
+
+        return finish
 
     @lock_gpu
     def _finish(
@@ -229,7 +236,6 @@ class Renderer:
             self._room = max(self._room, enough)
             room = draw()
             drawn = copies.wait()
-        self._free.append(copies)
         return drawn
 
     def _draw(self, gaussians: Gaussians, view: Any, colour: Any, stage: StageFrame | None) -> None:
