@@ -13,6 +13,7 @@ from phy124.errors import InputError
 from phy124.gaussians import Gaussians
 from phy124.generators.relief import relief
 from phy124.io.clip import Clip
+from phy124.rendering import frames
 from phy124.rendering.compose import Photograph, compose
 from phy124.rendering.compose.colours import Adjoint, match_colours
 from phy124.rendering.compose.photograph import match
@@ -140,7 +141,7 @@ def test_a_photograph_without_an_object_is_refused():
         Photograph.of(empty, empty)
 
 
-def test_the_first_picture_is_the_photograph(tmp_path):
+def test_the_first_picture_is_the_photograph(tmp_path, monkeypatch):
     camera = Camera((2.0, 0.0, 0.5), (0.0, 0.0, 0.5), *SIZE, 50.0)
     photograph = photographed(patched(), camera)
     still = flight([(0, 0, 0), (0, 0, 0)])
@@ -153,7 +154,15 @@ def test_the_first_picture_is_the_photograph(tmp_path):
         g.sh,
         still.times,
     )
-    path, about = compose(clip, View(), photograph, tmp_path)
+    render_frames, threads = frames.render_frames, []
+
+    def render(*args, **options):
+        threads.append(options["threads"])
+        return render_frames(*args, **options)
+
+    monkeypatch.setattr("phy124.rendering.compose.render_frames", render)
+    path, about = compose(clip, View(), photograph, tmp_path, threads=3)
+    assert threads == [3]
     assert about["psnr"] >= about["psnr_before"] > 30
     first, last = read_video(path).astype(float)
     inside, outside = photograph.alpha > 0.99, np.zeros((120, 160), bool)

@@ -46,8 +46,9 @@ def compose(
         view: View that defines the anti-aliasing filter and the playback rate.
         photograph: The photograph from which the object was made.
         folder: An existing folder.
-        context: Device, and a progress function, called as ("compose", pictures done, total).
-        **fields: `device` and `progress`, if no context is passed.
+        context: Device, number of threads that render, and a progress function, called as
+            ("compose", pictures done, total).
+        **fields: `device`, `threads` and `progress`, if no context is passed.
 
     Returns:
         The file, and two PSNR values [dB] of the first picture inside the object: `psnr`, and
@@ -74,6 +75,7 @@ def compose(
         stage=stage.at,
         device=device,
         filter=view.filter,
+        threads=context.threads,
         progress=lambda _, done, total: progress("compose", done, total),
     )
     path = Path(folder) / "composed.mp4"
