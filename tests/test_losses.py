@@ -48,12 +48,12 @@ def small_disk(folder: Path, size: str) -> Iterator[Path]:
 
 
 @contextmanager
-def full(monkeypatch, *folders: Path):
-    """Within this context no clip can be written below some folders."""
+def full(monkeypatch, *folders: Path, code: int = errno.ENOSPC):
+    """Within this context no clip can be written below some folders; `code` is the reason."""
 
     def refuse(path) -> None:
         if any(Path(path).is_relative_to(folder) for folder in folders):
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            raise OSError(code, os.strerror(code))
 
     def like(path, *arguments, **options):
         refuse(path)
@@ -185,9 +185,12 @@ def test_results_go_where_there_is_room(tmp_path, monkeypatch, temporary, done):
 
 
 @pytest.mark.filterwarnings("ignore:the frames are kept in memory only")
-def test_loss_of_all_frames_is_reported(tmp_path, monkeypatch, temporary):
-    with full(monkeypatch, tmp_path), pytest.raises(Incomplete, match="could not be saved"):
+@pytest.mark.parametrize("code", [errno.ENOSPC, errno.EACCES, errno.EROFS])
+def test_loss_of_all_frames_is_reported(tmp_path, monkeypatch, temporary, code):
+    lost = rf"the frames could not be saved .*{os.strerror(code)}.*TMPDIR"
+    with full(monkeypatch, tmp_path, code=code), pytest.raises(Incomplete, match=lost) as caught:
         pipeline.simulate(ball(300), SCENE, tmp_path / "out", keep=True)
+    assert ("space" in str(caught.value)) == (code == errno.ENOSPC)
     assert list(temporary.iterdir()) == [] and not (tmp_path / "out").exists()
 
 

@@ -250,15 +250,11 @@ class RunFolder:
         try:
             folder = Path(tempfile.mkdtemp(prefix="phy124-kept-"))
             self._write(folder, run, clip, interrupted)
-        except Exception:
+        except Exception as error:
             if folder is not None:
                 shutil.rmtree(folder, ignore_errors=True)
             left = self.recording.rescue()
-            return (
-                _after_error(self.out, left)
-                if left
-                else Incomplete("the frames could not be saved, because no folder has enough space")
-            )
+            return _after_error(self.out, left) if left else _without_frames(error)
         self.recording.drop()
         more = (
             f"; the same command with --out {folder} --resume continues it" if interrupted else ""
@@ -313,6 +309,14 @@ def _without_films(out: Path, made: Iterable[str], *, resumes: bool) -> Incomple
     return Incomplete(
         f"kept in {out}: {names}. `phy124 render {out / CLIP}` makes the videos{more}"
     )
+
+
+def _without_frames(error: Exception) -> Incomplete:
+    """`error` is why the files could not be written to the folder for temporary files."""
+    why, remedy = failure(error).sentence.rstrip("."), ""
+    if isinstance(error, OSError):
+        remedy = ". Set --out or TMPDIR to a folder in which this user may write"
+    return Incomplete(f"the frames could not be saved in another folder either: {why}{remedy}")
 
 
 def _after_error(out: Path, frames: int) -> Incomplete:
