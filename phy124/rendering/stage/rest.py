@@ -49,7 +49,7 @@ class AtRest:
         """Return the positions of an object [Q,3], m; None: of all objects with particles."""
         return self.rest if name is None else self.bodies.get(name, self.rest)
 
-    def touched(self, name: str | None) -> Points:
+    def targets_of(self, name: str | None) -> Points:
         """Return the positions of everything that a boundary acts on [Q,3], m.
 
         `name` is the boundary's `object`; None: all objects with particles, and all free solids.
@@ -58,7 +58,7 @@ class AtRest:
 
     def top_of(self, name: str | None) -> float:
         """Return the height of an object's top [m]; None: of all bodies and free solids."""
-        return float(self.touched(name)[:, 2].max())
+        return float(self.targets_of(name)[:, 2].max())
 
 
 def _columns(points: NDArray) -> Points:

@@ -77,7 +77,7 @@ def place_walls(boundaries: Sequence[Boundary], body: AtRest) -> list[PlacedWall
 
 
 def _walls(boundary: Boundary, body: AtRest) -> Iterator[PlacedWall]:
-    rest = body.touched(boundary.object)
+    rest = body.targets_of(boundary.object)
     contains = isinstance(boundary, Container)
     span = span_container(boundary, body) if contains else _around(*_corners(rest))
     for part in boundary.parts():
@@ -92,7 +92,7 @@ def span_container(container: Container, body: AtRest) -> Corners:
 
     The box ends slightly above the objects at rest, and open sides end at 2 object sizes.
     """
-    low, high = _corners(body.touched(container.object))
+    low, high = _corners(body.targets_of(container.object))
     size = float((high - low).max())
     room = size * np.array([2.0, 2.0, 0.1])
     inside = (np.array(container.inside.lower), np.array(container.inside.upper))
