@@ -109,8 +109,9 @@ def run_for_goal(
     if goal.kind == "seconds":
         return _meet_time(goal, runs, forecaster, elapsed, each)
     reached = _meet_error(goal, runs)
-    for frame in reached.clip.frames() if each is not None else ():
-        each(reached.simulation, frame)
+    if each is not None:
+        for frame in reached.clip.frames():
+            each(reached.simulation, frame)
     return reached
 
 
