@@ -16,6 +16,7 @@ from phy124.generators.ply_file import Reading
 from phy124.io.clip import Clip
 from phy124.io.content import Content
 from phy124.io.files import refuse_replacing
+from phy124.io.flaws import hide_flaws
 from phy124.io.formats import (
     Format,
     find_written_format,
@@ -132,7 +133,10 @@ class Export:
         if self.surface is not None and (self.to != "moving-mesh" or self.frame is not None):
             limit = "This option is only for --to moving-mesh with all frames."
             raise InputError("surface", self.surface, limit, "Remove this option.")
-        notes = self._note_look(clip, chosen)
+        moves = self.all or (self.frame is None and chosen.write_clip is not None)
+        every = moves or self.merge is not None  # --merge compares Gaussians in all frames
+        clip, notes = hide_flaws(clip, None if every else [self.frame or 0])
+        notes += self._note_look(clip, chosen)
         if self.merge is not None:
             clip = merge_clip_to(clip, self.merge)
         shine, frame = make_shine(clip), clip.frame(self.frame or 0)

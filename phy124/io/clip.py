@@ -17,7 +17,15 @@ from safetensors.numpy import save_file
 from zstandard import ZstdError
 
 from phy124.errors import InputError
-from phy124.gaussians import Array, Frame, Gaussians, of_walls, rotate_sh, stack_wrenches
+from phy124.gaussians import (
+    Array,
+    Frame,
+    Gaussians,
+    finite_rows,
+    of_walls,
+    rotate_sh,
+    stack_wrenches,
+)
 from phy124.io.files import replacing
 from phy124.io.opening import obstacle
 from phy124.motion.packing import Packed, pack, unpack
@@ -36,6 +44,8 @@ SMALL = 64e6
 """Files up to this size [bytes] are read into memory; larger files are memory-mapped."""
 REQUIRED = ("means", "quats", "scales", "opacities", "sh", "times")
 OPTIONAL = ("rotations", "velocities", "contacts")
+MOVING = ("means", "quats", "scales", *OPTIONAL)
+"""Arrays with one row [N,...] per frame."""
 DESCRIBED = ("means", "quats", "scales", "rotations", "opacities", "sh", "object_id")
 """Arrays that are computed from the motion if a clip's file stores a motion."""
 WALLS = "wrenches"
@@ -190,8 +200,8 @@ class Clip:
             return self
         kept = slice(None, -grains)
         each = {
-            name: array.first(kept) if isinstance(array, Computed) else array[:, kept]
-            for name in ("means", "quats", "scales", *OPTIONAL)
+            name: array.select(kept) if isinstance(array, Computed) else array[:, kept]
+            for name in MOVING
             if (array := getattr(self, name)) is not None
         }
         each |= {"opacities": self.opacities[kept], "sh": self.sh[kept]}
@@ -244,20 +254,16 @@ class Clip:
         seconds = np.float32(self.times[after] - self.times[before])
         return (self.means[after] - self.means[before]) / seconds
 
+    def finite(self, index: int) -> NDArray[np.bool_]:
+        """Return a mask [N] of the Gaussians that have only finite values in a frame."""
+        arrays = (self.means[index], self.quats[index], self.scales[index], self.sh)
+        return finite_rows(self.opacities) & np.all([finite_rows(a) for a in arrays], axis=0)
+
     def flaws(self) -> list[str]:
         """Return a sentence for each frame in which Gaussians have NaN or infinite values."""
-        sentences = []
-        for index in range(len(self)):
-            arrays = (self.means[index], self.quats[index], self.scales[index])
-            if all(np.isfinite(array).all() for array in arrays):
-                continue  # usual case; the search for affected rows takes 20 times as long
-            bad = ~np.all([np.isfinite(array).all(axis=1) for array in arrays], axis=0)
-            count = np.count_nonzero(bad)
-            sentences.append(
-                f"Frame {index}: {count} of {len(bad)} Gaussians have NaN or infinite values "
-                "and are not shown."
-            )
-        return sentences
+        text = "Frame {}: {} of {} Gaussians have NaN or infinite values and are not shown."
+        counts = [np.count_nonzero(~self.finite(index)) for index in range(len(self))]
+        return [text.format(i, n, len(self.opacities)) for i, n in enumerate(counts) if n]
 
     def with_motion(self, motion: Motion) -> Clip:
         """Return a copy whose file stores a motion instead of the arrays in `DESCRIBED`."""

@@ -307,9 +307,9 @@ Frames = Recorded | Torn
 class Computed(NDArrayOperatorsMixin):
     """One array of all frames [T,N,...], computed frame by frame when it is read."""
 
-    def __init__(self, recorded: Frames, name: str, *, columns: slice | None = None) -> None:
+    def __init__(self, recorded: Frames, name: str, *, columns: NDArray | None = None) -> None:
         self.recorded, self.name, self.columns = recorded, name, columns
-        count = len(range(recorded.count)[columns or slice(None)])
+        count = recorded.count if columns is None else len(columns)
         self.shape = (len(recorded), count, 4 if name in ("quats", "rotations") else 3)
         self.dtype, self.ndim = np.dtype(np.float32), 3
 
@@ -325,7 +325,7 @@ class Computed(NDArrayOperatorsMixin):
         if isinstance(rows, (int, np.integer)):
             index = range(len(self))[rows]
             row = self.recorded.row(index)[self.name]
-            return row[self.columns or slice(None)][rest]
+            return (row if self.columns is None else row[self.columns])[rest]
         chosen = np.arange(len(self))[rows]
         every = isinstance(rows, slice) and len(chosen) == len(self)
         if every and self.columns is None and rest and isinstance(rest[0], np.ndarray):
@@ -346,9 +346,10 @@ class Computed(NDArrayOperatorsMixin):
             raise AttributeError(name)
         return getattr(np.asarray(self), name)
 
-    def first(self, columns: slice) -> Computed:
-        """Return the part of the array for the Gaussians that the slice `columns` selects."""
-        return Computed(self.recorded, self.name, columns=columns)
+    def select(self, columns: slice | NDArray) -> Computed:
+        """Return the array of the Gaussians that a slice or an index array selects."""
+        every = np.arange(self.recorded.count) if self.columns is None else self.columns
+        return Computed(self.recorded, self.name, columns=every[columns])
 
 
 def frames_of(motion: Motion) -> Frames:

@@ -19,6 +19,7 @@ import numpy as np
 from phy124.errors import InputError
 from phy124.io.clip import Clip
 from phy124.io.files import staging
+from phy124.io.flaws import hide_flaws
 from phy124.io.formats.usd import load_usd, write_usd
 from phy124.io.html import write_html
 from phy124.io.sequence import write_sequence
@@ -102,7 +103,8 @@ def film(
     for name in view.formats:
         if name in EXPORTS:
             with watch.stage("export"):
-                paths.append(EXPORTS[name](clip, view, folder, context.progress))
+                shown, _ = hide_flaws(clip)
+                paths.append(EXPORTS[name](shown, view, folder, context.progress))
         else:
             paths += [made[name, side] for side in view.sides]
     if shine is not None and shine.seconds:

@@ -1,0 +1,59 @@
+"""Hides Gaussians with NaN or infinite values, which the formats of other programs cannot hold."""
+
+from collections.abc import Iterable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phy124.errors import InputError
+from phy124.io.clip import MOVING, Clip
+from phy124.motion.recorded import Computed
+
+
+def hide_flaws(clip: Clip, frames: Iterable[int] | None = None) -> tuple[Clip, list[str]]:
+    """Return a clip whose Gaussians have finite values, and notes.
+
+    A Gaussian that has NaN or infinite values in any of these frames becomes an invisible copy of
+    the next Gaussian in the clip, so the other Gaussians keep their indices.
+
+    Args:
+        clip: The clip.
+        frames: Indices of the frames that are written; None: all frames.
+
+    Raises:
+        InputError: No Gaussian has finite values in all of these frames.
+    """
+    sound = np.ones(len(clip.opacities), bool)
+    flawed = []
+    for index in range(len(clip)) if frames is None else frames:
+        finite = clip.finite(index)
+        if not finite.all():
+            flawed.append(index)
+            sound &= finite
+    if not flawed:
+        return clip, []
+    several = len(flawed) > 1
+    where = f"{flawed[0]} to {flawed[-1]}" if several else str(flawed[0])
+    if not sound.any():
+        limit = "every Gaussian has NaN or infinite values."
+        remedy = "Export earlier frames with --frame, or simulate again on a finer grid."
+        raise InputError("frames", where, limit, remedy)
+    note = (
+        f"{np.count_nonzero(~sound)} of {len(sound)} Gaussians have NaN or infinite values in "
+        f"{'frames' if several else 'frame'} {where}, and are invisible in the file."
+    )
+    return _hide(clip, sound), [note]
+
+
+def _hide(clip: Clip, sound: NDArray[np.bool_]) -> Clip:
+    """Replace each Gaussian outside a mask [N] by an invisible copy of the next one inside."""
+    kept = np.flatnonzero(sound)
+    source = kept[np.searchsorted(kept, np.arange(len(sound))).clip(max=len(kept) - 1)]
+    moving = {
+        name: array.select(source) if isinstance(array, Computed) else array[:, source]
+        for name in MOVING
+        if (array := getattr(clip, name)) is not None
+    }
+    opacities = np.where(sound, clip.opacities, 0)
+    return replace(clip, **moving, opacities=opacities, sh=clip.sh[source])
