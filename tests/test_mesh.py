@@ -15,10 +15,12 @@ from phy124.generators import mesh as meshes
 from phy124.generators.mesh import is_mesh, mesh, read_mesh
 from phy124.generators.ply_file import PlyFile
 from phy124.io.formats import write_gaussians
+from phy124.io.formats.moving_mesh import write_moved
 from phy124.particles.solid import find_solid
 from phy124.pipeline.gaussians import with_others
 from phy124.progress import silent
 from phy124.runtime import isolated
+from support.clips import flight
 
 trimesh = pytest.importorskip("trimesh", reason="trimesh is not installed")
 pytestmark = pytest.mark.usefixtures("coarse_solids", "in_this_process")
@@ -108,17 +110,39 @@ def test_colours_of_glb_are_linear(tmp_path, source):
     np.testing.assert_allclose(drawn[2], 0.5, atol=0.005)
 
 
-@pytest.mark.parametrize("kind", [np.uint8, np.uint16, np.float32])
-def test_colours_of_vertices_multiply_a_material(kind):
+def tinted(kind, texture=None):
+    """Return a ball, whose linear colours are 0.5 (material) times 0.43 (vertices)."""
     body = trimesh.creation.icosphere(3)
-    material = trimesh.visual.material.PBRMaterial(baseColorFactor=[128, 128, 128, 255])
-    body.visual = trimesh.visual.TextureVisuals(material=material)
+    material = trimesh.visual.material.PBRMaterial(
+        baseColorFactor=[128, 128, 128, 255], baseColorTexture=texture
+    )
+    uv = None if texture is None else np.full((len(body.vertices), 2), 0.5)
+    body.visual = trimesh.visual.TextureVisuals(uv=uv, material=material)
     most = np.iinfo(kind).max if kind is not np.float32 else 1
     colours = np.full((len(body.vertices), 4), 0.43 * most).astype(kind)
     body.visual.vertex_attributes["color"] = colours
-    meshes._use_vertex_colours(body)
+    return body
+
+
+@pytest.mark.parametrize("kind", [np.uint8, np.uint16, np.float32])
+def test_colours_of_vertices_multiply_a_material(kind):
+    body = tinted(kind)
+    meshes._keep_vertex_colours(body)
     drawn = meshes._sample_surface([body], 0, 500, linear=True)
     np.testing.assert_allclose(drawn[2], 0.5, atol=0.01)  # 0.216 in linear light
+
+
+def test_colours_of_vertices_multiply_a_texture(tmp_path):
+    from PIL import Image
+
+    grey = Image.new("RGB", (2, 2), (188, 188, 188))  # 0.5 in linear light
+    path = saved(tmp_path / "grey.glb", tinted(np.uint8, grey))
+    drawn, _ = meshes._read(str(path), "glb", 0, 500)
+    np.testing.assert_allclose(drawn[2], 0.364, atol=0.01)  # 0.108 in linear light
+    pieces, _ = meshes.load_pieces(path)
+    write_moved(tmp_path / "moved.glb", flight([[0, 0, 0], [1, 0, 0]]), pieces)
+    again, _ = meshes._read(str(tmp_path / "moved.glb"), "glb", 0, 500)
+    np.testing.assert_allclose(again[2], 0.364, atol=0.01)
 
 
 def test_an_open_mesh_is_filled(tmp_path):

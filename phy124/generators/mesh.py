@@ -24,7 +24,7 @@ from phy124.generators.shapes import choose_triangles, cover_surface
 from phy124.io.axes import orientation, rotate_gaussians
 from phy124.io.content import AGAIN, Y_UP, Content, describe_coarseness, step_of
 from phy124.io.formats import MESH_ENDINGS
-from phy124.io.formats.mesh import to_linear, to_srgb
+from phy124.io.formats.mesh import TINT, to_linear, to_srgb
 from phy124.io.opening import obstacle
 from phy124.runtime import isolated
 from phy124.runtime.installation import install_command
@@ -243,7 +243,7 @@ def _load_solids(path: str, kind: str) -> tuple[list[Trimesh], list[Any]]:
         shapes = [scene.geometry[scene.graph[node][1]] for node in scene.graph.nodes_geometry]
         triangles = sum(len(getattr(piece, "faces", ())) for piece in shapes)
         for shape in scene.geometry.values():
-            _use_vertex_colours(shape)
+            _keep_vertex_colours(shape)
         pieces = scene.dump() if triangles <= MOST_TRIANGLES else []
     except MemoryError:
         raise ValueError(
@@ -262,18 +262,15 @@ def _load_solids(path: str, kind: str) -> tuple[list[Trimesh], list[Any]]:
     return [piece for piece in pieces if len(getattr(piece, "faces", ()))], shapes
 
 
-def _use_vertex_colours(shape: Any) -> None:
-    """Multiply a glTF material without texture by the colours of vertices; trimesh ignores them."""
-    from trimesh.visual import ColorVisuals
-
+def _keep_vertex_colours(shape: Any) -> None:
+    """Store the colours [N,3] of the vertices of a glTF mesh with a material as `TINT`; trimesh
+    would drop them.
+    """
     visual: Any = getattr(shape, "visual", None)
-    if getattr(visual, "kind", None) != "texture" or "color" not in visual.vertex_attributes:
-        return
-    if getattr(visual.material, "baseColorTexture", True) is None:
+    if getattr(visual, "kind", None) == "texture" and "color" in visual.vertex_attributes:
         colours = np.asarray(visual.vertex_attributes["color"])
         most = np.iinfo(colours.dtype).max if colours.dtype.kind == "u" else 1.0
-        rgb = colours[:, :3] / most * _factor(visual.material)
-        shape.visual = ColorVisuals(shape, vertex_colors=np.rint(255 * rgb).astype(np.uint8))
+        shape.vertex_attributes[TINT] = colours[:, :3] / most
 
 
 def _factor(material: Any) -> NDArray[np.float64]:
@@ -394,8 +391,12 @@ def _colour_piece(
     if visual.kind != "texture":
         return None
     material: Any = visual.material
-    # Only materials of glTF have a factor, which is linear; their textures are sRGB.
+    # Only materials of glTF have a factor. Factors and colours of vertices are linear; textures are
+    # sRGB.
     light = _factor(material) if hasattr(material, "baseColorFactor") else None
+    if light is not None and TINT in piece.vertex_attributes:
+        corners = piece.vertex_attributes[TINT][piece.faces[triangles]]
+        light = light * np.einsum("nc,nci->ni", weights, corners)
     tint = material.main_color[:3] / 255 if light is None else to_srgb(light)
     if visual.uv is None or len(visual.uv) != len(piece.vertices):
         return tint

@@ -30,6 +30,8 @@ WIDEST = 12
 """Largest distance along each axis at which a Gaussian adds to the density [cells]."""
 NEAREST = 4
 """Number of nearest Gaussians whose mean colour is the colour of a vertex."""
+TINT = "tint"
+"""Attribute of the vertices of a mesh [N,3]: linear colours, 0..1, that multiply its material."""
 BATCH = 4_000_000
 
 

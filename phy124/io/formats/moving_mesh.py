@@ -23,7 +23,7 @@ from phy124.io.clip import Clip
 from phy124.io.content import Y_UP
 from phy124.io.files import replacing
 from phy124.io.formats.glb import pack_head
-from phy124.io.formats.mesh import find_surface, to_trimesh
+from phy124.io.formats.mesh import TINT, find_surface, to_trimesh
 from phy124.progress import Progress, silent
 
 CELLS = 56
@@ -86,6 +86,9 @@ def write_moved(
     for index, piece in enumerate(pieces):
         moved = piece.copy()
         moved.vertices = moved.vertices @ turn.T
+        if TINT in moved.vertex_attributes:  # trimesh writes only the colours of the visuals
+            rgba = np.insert(moved.vertex_attributes.pop(TINT), 3, 1.0, axis=1)
+            moved.visual.vertex_attributes["color"] = np.rint(255 * rgba).astype(np.uint8)
         scene.add_geometry(moved, geom_name=_name(index), node_name=_name(index))
     data: Any = scene.export(file_type="glb", include_normals=True)
     with tempfile.TemporaryFile() as buffer:
