@@ -360,3 +360,23 @@ def test_file_options_require_a_file(tmp_path, capsys, options):
 def test_a_floor_is_not_forgotten_where_there_is_no_scene():
     with pytest.raises(InputError, match="A floor becomes a part of the scene"):
         PlyFile("a.ply", FLOOR)()
+
+
+def test_file_of_a_run_keeps_its_place_in_the_picture(tmp_path):
+    """Masks and stiffness pictures are painted over the picture of the first run."""
+    crop, mask = (0.1, 0.2, 0.5, 0.8), tmp_path / "mask.png"
+    painted = Scene.from_data({"stiffness": {"kind": "picture", "file": str(mask)}})
+    path = str(tmp_path / "gaussians.ply")
+    write_ply(path, ball(200))
+    for name, reading, found in (
+        ("gaussians.ply", Reading(), crop),
+        ("gaussians.ply", Reading(rotate="0,0,90"), (0, 0, 1, 1)),
+        ("other.ply", Reading(), (0, 0, 1, 1)),
+    ):
+        (tmp_path / "report.json").write_text(json.dumps({"files": [name], "crop": crop}))
+        read = capture(PlyFile(path, reading), painted)
+        assert read.crop == found
+        assert any("stiffness.file: the picture is stretched" in n for n in read.notes) == (
+            found != crop
+        )
+    assert not capture(PlyFile(path), Scene()).notes

@@ -23,7 +23,6 @@ from phy124.generators.mesh import is_mesh
 from phy124.generators.options import Effort
 from phy124.generators.ply_file import PlyFile, Reading
 from phy124.imaging.cutout import Cutout
-from phy124.imaging.painted import WHOLE
 from phy124.io.clip import Clip
 from phy124.io.video import encoder_problem, refuse_missing_encoder
 from phy124.particles.thinning import check_count
@@ -237,6 +236,7 @@ class Simulate:
                 out,
                 context,
                 about=about,
+                crop=read.crop,
                 goal=goal,
                 forecaster=self.plan.forecaster(context),
                 keep=True,
@@ -271,7 +271,7 @@ class Simulate:
             read.scene,
             self.plan,
             context,
-            WHOLE,
+            read.crop,
             study=study,
             as_json=self.options.json,
         )

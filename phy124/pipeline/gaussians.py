@@ -20,7 +20,7 @@ from phy124.generators.options import UNCHANGED, Effort, GeneratorOptions, effor
 from phy124.generators.ply_file import PlyFile, Reading
 from phy124.imaging.cutout import Cutout, cut_out
 from phy124.imaging.objects import Point
-from phy124.imaging.painted import Crop, crop_of
+from phy124.imaging.painted import WHOLE, Crop, crop_of
 from phy124.io.clip import Clip
 from phy124.io.formats import is_file_of_gaussians
 from phy124.particles.thinning import note_few, thin, with_count
@@ -181,6 +181,7 @@ def make_object(
         "cleaning": [],
         "notes": [],
     }
+    crop = crop_of(picture)
     with watch.stage("generate"):
         effort = effort_of(make)
         if effort is not None:
@@ -189,14 +190,14 @@ def make_object(
             make = with_count(make_generator("relief"), count) if preview_with_relief else make
         if isinstance(make, PlyFile):
             read = capture(make, scene, count=count, progress=progress)
-            gaussians, scene = read.gaussians, read.scene
+            gaussians, scene, crop = read.gaussians, read.scene, read.crop
             about |= {"cleaning": read.cleaning, "notes": [*read.notes], **read.about}
         else:
             with _errors_naming_files(depth, views):
                 gaussians = make(picture, seed=scene.seed, progress=progress)
             about["notes"] += note_few(make, len(gaussians), count)
             gaussians = thin(gaussians, count, seed=scene.seed)
-    return StaticObject(gaussians, scene, crop_of(picture), cutout, about, effort)
+    return StaticObject(gaussians, scene, crop, cutout, about, effort)
 
 
 @contextmanager
@@ -278,7 +279,7 @@ def with_others(
                 on_cutout=on_cutout,
             )
         made[index] = other.gaussians
-        if other.cutout is not None:
+        if other.cutout is not None or other.crop != WHOLE:
             objects[index - 1] = body.model_copy(update={"crop": other.crop})
         about[body.name] = {"source": Path(source).name, **other.about}
     scene = scene.model_copy(update={"objects": tuple(objects)})

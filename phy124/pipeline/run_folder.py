@@ -327,13 +327,20 @@ def _after_error(out: Path, frames: int) -> Incomplete:
 
 def list_results(folder: Path) -> set[str]:
     """Return the file names in the report of a folder."""
+    names = read_report(folder).get("files")
+    names = names if isinstance(names, list) else []
+    return {name for name in names if isinstance(name, str) and _is_plain(name)}
+
+
+def read_report(folder: Path) -> dict[str, Any]:
+    """Return the report in a folder; empty if there is no readable report."""
     path = folder / REPORT
     try:
         large = path.stat().st_size > LARGEST_REPORT
-        names = {} if large else json.loads(path.read_bytes()).get("files", [])
-        return {name for name in names if isinstance(name, str) and _is_plain(name)}
-    except (OSError, ValueError, RecursionError, AttributeError, TypeError):
-        return set()
+        report = {} if large else json.loads(path.read_bytes())
+    except (OSError, ValueError, RecursionError):
+        return {}
+    return report if isinstance(report, dict) else {}
 
 
 def refuse_folder(out: Path, view: View | None, read: Sequence[Path] = ()) -> None:

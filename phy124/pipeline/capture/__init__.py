@@ -16,11 +16,13 @@ from numpy.typing import NDArray
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians, join, quaternions, rotation_matrices
 from phy124.generators.ply_file import Opened, PlyFile, robust_bounds, unit_transform
+from phy124.imaging.painted import WHOLE, Crop
 from phy124.io.axes import rotate_gaussians, upright
 from phy124.io.content import for_run
 from phy124.particles import clean
 from phy124.particles.thinning import thin
 from phy124.pipeline.capture.floor import Floor, find_floor
+from phy124.pipeline.capture.place import find_crop, note_stretched
 from phy124.progress import Progress, silent
 from phy124.scene import Part, Scene
 from phy124.schema.region import EVERYWHERE, PartRegion
@@ -50,6 +52,8 @@ class Capture:
     """Entries of the report about the rotation and the floor."""
     notes: tuple[str, ...] = ()
     """Sentences about parts of the file that were ignored or interpreted."""
+    crop: Crop = WHOLE
+    """Position of the object in the picture on which masks of parts were painted."""
 
 
 def capture(
@@ -76,7 +80,9 @@ def capture(
     transform = {"rotation": read.rotation.tolist(), "scale": read.scale, "shift": shift.tolist()}
     about = {"capture": {**transform, "floor": read.floor, "coarse": opened.coarse}}
     metres = _in_metres(scene, read, opened.origin)
-    return Capture(read.gaussians, metres, read.cleaning, about, opened.notes)
+    crop = find_crop(file)
+    notes = (*opened.notes, *([] if crop else note_stretched(file, scene)))
+    return Capture(read.gaussians, metres, read.cleaning, about, notes, crop or WHOLE)
 
 
 def adapt_scene(file: PlyFile, scene: Scene, *, count: int | None = None) -> Scene:
