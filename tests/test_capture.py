@@ -368,15 +368,15 @@ def test_file_of_a_run_keeps_its_place_in_the_picture(tmp_path):
     painted = Scene.from_data({"stiffness": {"kind": "picture", "file": str(mask)}})
     path = str(tmp_path / "gaussians.ply")
     write_ply(path, ball(200))
-    for name, reading, found in (
+    for name, reading, place in (
         ("gaussians.ply", Reading(), crop),
         ("gaussians.ply", Reading(rotate="0,0,90"), (0, 0, 1, 1)),
         ("other.ply", Reading(), (0, 0, 1, 1)),
     ):
         (tmp_path / "report.json").write_text(json.dumps({"files": [name], "crop": crop}))
         read = capture(PlyFile(path, reading), painted)
-        assert read.crop == found
+        assert read.crop == place
         assert any("stiffness.file: the picture is stretched" in n for n in read.notes) == (
-            found != crop
+            place != crop
         )
     assert not capture(PlyFile(path), Scene()).notes
