@@ -2,6 +2,7 @@
 
 import importlib.util
 import json
+import re
 import shutil
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from phy124.io.clip import Clip
 from phy124.io.content import Y_DOWN
 from phy124.io.formats.lattice4d import TOLERANCE, write_lattice4d
 from phy124.io.html import VIEWER
+from support.clips import flight
 from support.processes import run_program
 
 GUIDE = Path(__file__).parents[1] / "docs/guide"
@@ -184,4 +186,20 @@ def test_note_states_large_errors_of_the_shapes(tmp_path):
     """Gaussians that keep their shapes while the lattice is sheared."""
     assert write_lattice4d(tmp_path / "a.p4d", clip_of([bend(0), bend(0.05)])) == []
     (note,) = write_lattice4d(tmp_path / "a.p4d", clip_of([bend(0), bend(1.5)]))
-    assert "changes their covariances by up to" in note and "Use --to usd or --to 4dgs." in note
+    assert "P4D changes the covariances" in note and "Use the format usd or 4dgs." in note
+
+
+def test_objects_far_from_the_origin_are_exact(tmp_path, reader):
+    """The file's first frame is read with its full precision, so that displacements are small."""
+    far = [lambda x, k=k: bend(k)(x) + [1e4, 0, 0] for k in (0, 0.05)]
+    clip = clip_of(far)
+    assert write_lattice4d(tmp_path / "a.p4d", clip) == []
+    data = (tmp_path / "a.p4d").read_bytes()
+    film = reader(lambda offset, length: data[offset : offset + length])
+    away = np.abs(film.frame(1) @ TURN - clip.means[1]).max()
+    assert away < 2 * TOLERANCE * film.about["size"]
+
+
+def test_note_states_large_errors_of_the_centres(tmp_path):
+    (note,) = write_lattice4d(tmp_path / "a.p4d", flight([[0, 0, 0], [3e3, 2e3, 0], [1e4, 0, 0]]))
+    assert re.search(r"displaces the centres of the Gaussians by up to [0-9.]+ % .* 16 bits", note)

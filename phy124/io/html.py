@@ -194,8 +194,9 @@ def _pack_smallest(
     shades = b"" if stage is None else zlib.compress(_differences(stage[1]).tobytes(), 9)
     player = _describe(clip, camera, background, stage, shine)
     every = np.ones(len(clip.opacities), bool)
-    film, shape = lattice4d.encode(clip, every, player=player, shades=shades)
-    return b"".join(film) if shape <= LOOSE and sum(map(len, film)) < len(packed) else packed
+    film, errors = lattice4d.encode(clip, every, player=player, shades=shades)
+    smaller = sum(map(len, film)) < len(packed)
+    return b"".join(film) if errors.shape <= LOOSE and smaller else packed
 
 
 def _describe(

@@ -34,7 +34,7 @@ import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -152,16 +152,30 @@ def write_lattice4d(
     Raises:
         InputError: The clip is empty, or the file cannot be written.
     """
-    parts, shape = encode(clip, clip.object_mask, progress=progress)
+    parts, errors = encode(clip, clip.object_mask, progress=progress)
     with replacing(path) as temporary, temporary.open("wb") as file:
         file.writelines(parts)
-    if shape <= LOOSE:
-        return []
-    return [
-        "P4D moves the centres of the Gaussians exactly enough, but changes their covariances by "
-        f"up to {100 * shape:.0f} % (99th percentile), since a lattice cannot describe this "
-        "motion. Use --to usd or --to 4dgs."
-    ]
+    changes = []
+    if errors.centre > TOLERANCE:
+        changes.append(
+            f"displaces the centres of the Gaussians by up to {100 * errors.centre:.2g} % of the "
+            "object's size, since the object moves too far for displacements in 16 bits"
+        )
+    if errors.shape > LOOSE:
+        changes.append(
+            f"changes the covariances of the Gaussians by up to {100 * errors.shape:.0f} % (99th "
+            "percentile), since a lattice cannot describe this motion"
+        )
+    return [f"P4D {change}. Use the format usd or 4dgs." for change in changes]
+
+
+class Errors(NamedTuple):
+    """Errors of the Gaussians in a file."""
+
+    centre: float
+    """Largest error of a centre, relative to the object's size."""
+    shape: float
+    """Largest relative error of a covariance: the 99th percentile over all Gaussians."""
 
 
 def encode(
@@ -171,11 +185,10 @@ def encode(
     player: dict[str, Any] | None = None,
     shades: bytes = b"",
     progress: Progress = silent,
-) -> tuple[list[bytes], float]:
-    """Return the bytes of a file as a list of sections, and the error of the Gaussians' shapes.
+) -> tuple[list[bytes], Errors]:
+    """Return the bytes of a file as a list of sections, and the errors of the Gaussians.
 
-    The covariances of the Gaussians are computed from the deformation gradient of the lattice. The
-    error is the 99th percentile, over Gaussians, of the largest relative error of a covariance.
+    The covariances of the Gaussians are computed from the deformation gradient of the lattice.
 
     Args:
         clip: The clip.
@@ -225,7 +238,8 @@ def encode(
     }
     numbers = np.concatenate([lattice.indices, motion.exceptions]).astype("<u4").tobytes()
     parts = [still, zlib.compress(numbers, 9), *motion.frames]
-    return _pack(about, [*parts, zlib.compress(steps.tobytes(), 9), shades]), shape
+    sections = _pack(about, [*parts, zlib.compress(steps.tobytes(), 9), shades])
+    return sections, Errors(worst / size, shape)
 
 
 def measure_size(points: NDArray[np.float64]) -> float:
@@ -309,7 +323,8 @@ def _centres(still: bytes) -> NDArray[np.float64]:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "still.sog"
         path.write_bytes(still)
-        return sog.read(path).gaussians.means.astype(np.float64)
+        content = sog.read(path)
+        return content.gaussians.means.astype(np.float64) + content.origin
 
 
 @dataclass(frozen=True, eq=False)
