@@ -20,7 +20,7 @@ from phy124.schema.refusals import shorten
 from phy124.schema.section import Section
 
 from .catalogue import check_length
-from .exports import EXPORTS, check_size, export
+from .exports import EXPORTS, check_size, export, notes_on
 from .extras import AXES
 from .fits import FitOptions
 from .guard import address_of, visitor_of
@@ -200,8 +200,10 @@ def _generate(studio: Studio) -> Callable[[gr.Request, GenerateRequest], Iterato
             yield (gr.skip(),) * 3
         done = job.progress.result
         with _refusing():
-            exports = [str(path) for path in export(kinds, done, visitor, studio.visitors)]
-        yield (done, choice), _paths(done) + exports, done.report
+            exports = export(kinds, done, visitor, studio.visitors)
+        notes = [f"{path.name}: {note}" for path in exports for note in notes_on(path)]
+        report = {**done.report, "notes": [*done.report.get("notes", []), *notes]}
+        yield (done, choice), [*_paths(done), *map(str, exports)], report
 
     return generate
 

@@ -14,10 +14,10 @@ from pathlib import Path
 from phy124.errors import InputError
 from phy124.io.clip import Clip, read_shape
 from phy124.io.files import staging
+from phy124.io.flaws import hide_flaws
 from phy124.io.formats import FORMATS, Format, written_formats
-from phy124.io.sequence import write_sequence
+from phy124.pipeline.exporting import export_clip
 from phy124.rendering.film import write_player
-from phy124.rendering.shine import drawn_frames
 from phy124.scene import View
 
 from .room import all_taken
@@ -49,16 +49,29 @@ def export(kinds: Sequence[str], done: Done, visitor: Visitor, visitors: Visitor
             limit = "This server does not offer this format."
             raise InputError("format", kind, limit, "Choose another one.")
     paths = [done.exports / EXPORTS[kind].file for kind in kinds]
-    keep = {done.clip, done.films, *paths}
+    keep = {done.clip, done.films, *paths, *map(_notes, paths)}
     for kind, path in zip(kinds, paths, strict=True):
         if not path.exists():
             size = EXPORTS[kind].about(*read_shape(done.clip / "clip.safetensors"))
             with visitors.writing(visitor, size, keep), TOGETHER, staging(done.exports) as folder:
-                EXPORTS[kind].write(done, folder / path.name)
+                notes = EXPORTS[kind].write(done, folder / path.name)
+                if notes:
+                    (folder / _notes(path).name).write_text("\n".join(notes), "utf-8")
             if not visitor.give_up(visitors.room.each, keep):
                 path.unlink()
+                _notes(path).unlink(missing_ok=True)
                 raise all_taken(0.0, visitors.room.each, "Choose another format.")
     return paths
+
+
+def notes_on(path: Path) -> list[str]:
+    """Return the sentences about what the file of a format changes or leaves out."""
+    notes = _notes(path)
+    return notes.read_text("utf-8").splitlines() if notes.exists() else []
+
+
+def _notes(path: Path) -> Path:
+    return path.with_name(f"{path.name}.txt")
 
 
 def check_size(kinds: Sequence[str], frames: int, gaussians: int, most: float) -> None:
@@ -85,7 +98,8 @@ class Export:
     label: str
     hint: str
     file: str
-    write: Callable[[Done, Path], None]
+    write: Callable[[Done, Path], list[str]]
+    """Writes the file, and returns notes about it."""
     available: Callable[[], bool] = lambda: True
     empty: int = 0
     """Approximate size of a file without any Gaussians [bytes]."""
@@ -103,18 +117,19 @@ class Export:
         return self.empty + round(self.frame * frames + each * gaussians)
 
 
-def _html(done: Done, path: Path) -> None:
-    clip = Clip.load(done.clip / "clip.safetensors")
+def _html(done: Done, path: Path) -> list[str]:
+    clip, notes = hide_flaws(Clip.load(done.clip / "clip.safetensors"))
     view = View.model_validate(clip.scene["view"])
     write_player(path, clip, view, "front")
+    return notes
 
 
-def _ply(done: Done, path: Path) -> None:
+def _write_format(format: Format, every: bool, done: Done, path: Path) -> list[str]:
     clip = Clip.load(done.clip / "clip.safetensors")
-    write_sequence(path, clip, name="phy124", frames=drawn_frames(clip))
+    return export_clip(path, clip, format, every=every, name="phy124").notes
 
 
-def _mcap(done: Done, path: Path) -> None:
+def _mcap(done: Done, path: Path) -> list[str]:
     """Record a bag with the bridge's command line, because the page must not import the bridge."""
     clip = (done.clip / "clip.safetensors").resolve()
     command = [sys.executable, "-m", BRIDGE, "record", str(clip), str(path.resolve())]
@@ -128,19 +143,11 @@ def _mcap(done: Done, path: Path) -> None:
             "The server could not write the file.",
             "Use clip.safetensors instead.",
         ) from error
+    return []
 
 
 def _bridge() -> bool:
     return all(find_spec(name) is not None for name in (BRIDGE, "mcap"))
-
-
-def _write_format(format: Format, done: Done, path: Path) -> None:
-    clip = Clip.load(done.clip / "clip.safetensors")
-    frames = drawn_frames(clip)
-    if format.write_clip is not None:
-        format.write_motion(path, clip, frames)
-    else:
-        format.write(path, next(frames or clip.frames()).gaussians)
 
 
 def _export_of(format: Format) -> Export:
@@ -149,7 +156,7 @@ def _export_of(format: Format) -> Export:
         f"{format.title[0].upper()}{format.title[1:]}, {'moving' if moves else 'at rest'}",
         f"Opens in {format.opens_in}",
         f"phy124-{format.name}{format.suffix}",
-        partial(_write_format, format),
+        partial(_write_format, format, moves),
         lambda: format.installed,
         empty=0 if moves else round(format.bytes_fixed),
         frame=format.bytes_fixed if moves else 0.0,
@@ -172,7 +179,7 @@ EXPORTS = {
         label="PLY sequence",
         hint="Opens in SuperSplat, brush, Unity",
         file="phy124-ply.zip",
-        write=_ply,
+        write=partial(_write_format, FORMATS["ply"], True),
         moving=FORMATS["ply"].bytes_each,
     ),
     "mcap": Export("MCAP", "Opens in Foxglove, ROS 2", "phy124.mcap", _mcap, _bridge, moving=60.0),

@@ -15,7 +15,7 @@ from starlette.applications import Starlette
 from starlette.routing import Route
 from starlette.testclient import TestClient
 
-from demo.exports import EXPORTS, check_size
+from demo.exports import EXPORTS, check_size, notes_on
 from demo.exports import export as make
 from demo.forecast import Estimator
 from demo.pictures import Stroke, correct_cutout, cut_out, paint, read_strokes
@@ -137,6 +137,21 @@ def test_each_format_is_offered_with_size_and_program(export, done, name, result
     assert {o["kind"] for o in results.takeaway_of(done)["offers"]} == {*EXPORTS, "share"} - {name}
 
 
+def test_notes_on_a_file_are_shown_also_when_it_is_made(export, done, results, three_gaussians):
+    """SPZ stores no scales of less than 0.05 mm, and P4D no harmonics."""
+    small = three_gaussians.transform(1e-4, np.zeros(3))
+    sh = np.ones((3, 4, 3), np.float32)
+    made = Clip.from_frames([Frame(i, i / 10, replace(small, sh=sh)) for i in range(2)])
+    replace(made, scene=Scene.named("press").data()).save(done.clip / "clip.safetensors")
+    for kind, sentence in (("spz", "SPZ 3 cannot store"), ("p4d", "P4D stores no harmonics")):
+        path = export(kind)
+        (note,) = notes_on(path)
+        assert note.startswith(sentence) and notes_on(export(kind)) == [note]
+        files = results.takeaway_of(done)["files"]
+        assert {f["file"]["path"]: f.get("notes") for f in files}[str(path)] == [note]
+    assert notes_on(export("ply")) == []
+
+
 def studio_of(visitors: Visitors) -> SimpleNamespace:
     """The parts of a studio that links need."""
     return SimpleNamespace(visitors=visitors, settings=SimpleNamespace(room=visitors.room))
@@ -190,9 +205,10 @@ def test_a_half_written_file_is_removed(export, done, monkeypatch):
 def test_exports_count_before_writing_and_evict_older(done, visitors, monkeypatch):
     me, made, sizes = visitors.get(ME), [], []
 
-    def write(_: Done, path) -> None:
+    def write(_: Done, path) -> list[str]:
         sizes.append(visitors.used)
         path.write_bytes(bytes(100_000))
+        return []
 
     fake = replace(EXPORTS["ply"], write=write, available=lambda: True, empty=100_000, moving=0.0)
     for kind in "abcd":
@@ -211,7 +227,11 @@ def test_exports_count_before_writing_and_evict_older(done, visitors, monkeypatc
 
 
 def test_a_file_larger_than_expected_does_not_stay(done, visitors, monkeypatch):
-    fake = replace(EXPORTS["ply"], write=lambda _, path: path.write_bytes(bytes(10**6)), file="x")
+    def write(_: Done, path) -> list[str]:
+        path.write_bytes(bytes(10**6))
+        return ["a note"]
+
+    fake = replace(EXPORTS["ply"], write=write, file="x")
     monkeypatch.setitem(EXPORTS, "x", fake)
     monkeypatch.setattr(visitors, "room", Room(each=500_000, all=1e9))
     with pytest.raises(InputError, match="Your storage on this server is full"):

@@ -289,4 +289,4 @@ def test_moving_mesh_of_separating_material_is_noted(tmp_path, spun, name, repor
     path = tmp_path / f"a{FORMATS[name].suffix}"
     assert FORMATS[name].write_motion(path, spun) == []
     (note,) = FORMATS[name].write_motion(path, spun.with_report(report))
-    assert "keeps its triangles" in note and "Use --to mesh --all" in note
+    assert "keeps its triangles" in note and "Use the format mesh for all frames" in note

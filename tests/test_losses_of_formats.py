@@ -33,8 +33,11 @@ def test_export_and_convert_note_their_losses(tmp_path, capsys):
     small = ball(500).transform(1e-3, np.zeros(3))
     Clip.from_frames([Frame(0, 0.0, small)]).save(tmp_path / "clip.safetensors")
     write_gaussians(tmp_path / "a.ply", small)
+    to_spz = ["export", tmp_path / "clip.safetensors", "--to", "spz"]
     for words in (
-        ["export", tmp_path / "clip.safetensors", "--to", "spz"],
+        to_spz,
+        [*to_spz, "--all"],
+        [*to_spz, "--all", "--out", tmp_path / "a.zip"],
         ["convert", tmp_path / "a.ply", tmp_path / "a.spz"],
     ):
         assert main([*map(str, words), "--json"]) == 0

@@ -63,7 +63,7 @@ def test_exports_show_the_look_that_videos_show(water, tmp_path, capsys, shine):
     opacities = read_gaussians(tmp_path / "a.ply").gaussians.opacities
     np.testing.assert_allclose(opacities, wanted.gaussians.opacities, atol=1e-4)
     assert main([*command, "p4d"]) == 0
-    assert ("It is kept by --to usd, --to 4dgs" in capsys.readouterr().out) is shine
+    assert ("The formats usd and 4dgs keep it" in capsys.readouterr().out) is shine
     pxr = pytest.importorskip("pxr.UsdVol", reason="usd-core is not installed")
     assert main([*command, "usd"]) == 0
     stage = pytest.importorskip("pxr.Usd").Stage.Open(str(tmp_path / "clip.usdc"))

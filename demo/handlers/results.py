@@ -14,7 +14,7 @@ from phy124.io.formats import FORMATS
 from phy124.particles.thickness import Proportions
 from phy124.scene import Scene
 
-from ..exports import EXPORTS, export
+from ..exports import EXPORTS, export, notes_on
 from ..fits import newest
 from ..forecast import promise_of
 from ..guard import visitor_of
@@ -272,7 +272,9 @@ def takeaway_of(done: Done) -> dict[str, Any]:
     for kind, offer in EXPORTS.items():
         group = {"html": "show", "mcap": "experts"}.get(kind, "programs")
         if (done.exports / offer.file).exists():
-            files.append(_link(done.exports / offer.file, offer.label, offer.hint, group))
+            path = done.exports / offer.file
+            link = _link(path, offer.label, offer.hint, group)
+            files.append({**link, "notes": notes_on(path)})
         elif offer.available():
             about = offer.about(frames, gaussians)
             each = {"kind": kind, "label": offer.label, "hint": offer.hint, "about": about}

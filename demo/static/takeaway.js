@@ -11,8 +11,8 @@
     const making = new Set(), sharing = globalThis.Phy124.sharing = () => share();
     let shown = {}, last = null, opened = null;
     const begin = (kind) => { making.add(last = kind); trigger('prepare', { kind }); };
-    const link = ({ label, hint, file }) => h('a', { class: 'file', href: file.url, download: file.orig_name, 'data-name': file.orig_name },
-      h('strong', {}, label), h('span', {}, hint), h('em', {}, size(file.size || 0)));
+    const link = ({ label, hint, file, notes = [] }) => h('a', { class: 'file', href: file.url, download: file.orig_name, 'data-name': file.orig_name },
+      h('strong', {}, label), h('span', {}, hint), h('em', {}, size(file.size || 0)), ...notes.map((note) => h('small', {}, note)));
     const button = ({ kind, label, hint, about }) => h('button', { type: 'button', class: 'file', 'data-kind': kind, 'aria-busy': making.has(kind) && 'true',
       onclick: (event) => { begin(kind); event.currentTarget.setAttribute('aria-busy', 'true'); event.currentTarget.append(h('progress', { 'aria-label': `Making ${label}` })); } },
     h('strong', {}, label), h('span', {}, hint), h('em', { class: about > LARGE ? 'warn' : '' }, about ? `Make (${about > LARGE ? 'large, ' : ''}about ${size(about)})` : 'Make'),

@@ -3,20 +3,17 @@
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, get_args
+from typing import Annotated, get_args
 
 import tyro
 
 from phy124.commands.bars import Bars
 from phy124.commands.options import help_of
 from phy124.errors import InputError
-from phy124.gaussians import Gaussians
-from phy124.generators.mesh import load_pieces
 from phy124.generators.ply_file import Reading
 from phy124.io.clip import Clip
 from phy124.io.content import Content
 from phy124.io.files import refuse_replacing
-from phy124.io.flaws import hide_flaws
 from phy124.io.formats import (
     Format,
     find_written_format,
@@ -24,13 +21,11 @@ from phy124.io.formats import (
     write_gaussians,
     written_formats,
 )
-from phy124.io.formats.losses import describe_losses
-from phy124.io.formats.moving_mesh import fit_to_clip, note_separation, write_moved
+from phy124.io.formats.losses import describe_losses, note_lost
 from phy124.io.growing import write_frames_clip
-from phy124.io.sequence import write_sequence
-from phy124.particles.merging import merge_clip_to, merge_to
+from phy124.particles.merging import merge_to
+from phy124.pipeline.exporting import export_clip
 from phy124.pipeline.run_folder import list_results
-from phy124.rendering.shine import drawn_frames, make_shine
 from phy124.scene import Format as Filmed
 
 MERGE = tyro.conf.arg(metavar="N")
@@ -80,7 +75,7 @@ class Convert:
         write_gaussians(self.out, gaussians, chosen.name, antialiased=content.antialiased)
         notes = [*_note_dropped(content.dropped), *content.remarks(), *_note_far(content)]
         notes += note_lost(gaussians, chosen) + describe_losses(self.out, gaussians, chosen)
-        return _show([self.out], len(gaussians), chosen, notes, as_json=self.json)
+        return _show([self.out], len(gaussians), notes, chosen, as_json=self.json)
 
 
 @dataclass(frozen=True)
@@ -133,34 +128,26 @@ class Export:
         if self.surface is not None and (self.to != "moving-mesh" or self.frame is not None):
             limit = "This option is only for --to moving-mesh with all frames."
             raise InputError("surface", self.surface, limit, "Remove this option.")
-        moves = self.all or (self.frame is None and chosen.write_clip is not None)
-        every = moves or self.merge is not None  # --merge compares Gaussians in all frames
-        clip, notes = hide_flaws(clip, None if every else [self.frame or 0])
-        notes += self._note_look(clip, chosen)
-        if self.merge is not None:
-            clip = merge_clip_to(clip, self.merge)
-        shine, frame = make_shine(clip), clip.frame(self.frame or 0)
-        first = (frame if shine is None else shine.shape(frame)).gaussians
         with Bars(quiet=self.json) as bars:
-            files = self._write(clip, first, chosen, bars, notes)
-        notes += note_lost(first, chosen)
-        if files[0].suffix != ".zip":
-            notes += describe_losses(files[0], first, chosen)
-        return _show(files, len(first), chosen, notes, as_json=self.json)
+            exported = export_clip(
+                self.out or self.clip.with_name(self._name(chosen)),
+                clip,
+                chosen,
+                frame=self.frame,
+                every=self.all,
+                merge=self.merge,
+                surface=self.surface,
+                name=self.clip.stem,
+                progress=bars,
+            )
+        return _show(*exported, chosen, as_json=self.json)
 
-    def _note_look(self, clip: Clip, chosen: Format) -> list[str]:
-        whole = self.frame is None and chosen.write_clip is not None
-        if (self.merge is None and (chosen.draws or not whole)) or make_shine(clip) is None:
-            return []
-        if self.merge is not None:
-            why, remedy = "of --merge", "Remove --merge to keep it."
-        else:
-            why = f"{chosen.title} stores one colour and opacity for the whole motion"
-            remedy = "It is kept by --to usd, --to 4dgs, and --to ply --all."
-        return [
-            "The file contains the Gaussians as simulated, without the look of the videos "
-            f"(surfaces of liquids, light on grains), because {why}. {remedy}"
-        ]
+    def _name(self, chosen: Format) -> str:
+        if self.frame is None and chosen.write_clip is not None:
+            return f"{self.clip.stem}{chosen.suffix}"
+        if self.all:
+            return f"{self.clip.stem}-{chosen.name}"
+        return f"{self.clip.stem}_{(self.frame or 0) + 1:04}{chosen.suffix}"
 
     def _find_format(self) -> Format:
         if self.to in get_args(Filmed) and self.to not in written_formats():
@@ -185,31 +172,6 @@ class Export:
     def _list_read(self) -> list[Path]:
         return [path for path in (self.clip, self.surface) if path is not None]
 
-    def _write(
-        self, clip: Clip, first: Gaussians, chosen: Format, bars: Bars, notes: list[str]
-    ) -> list[Path]:
-        """Write the files, whose paths are returned, and append notes about them."""
-        if self.frame is None and chosen.write_clip is not None:
-            path = self.out or self.clip.with_suffix(chosen.suffix)
-            if self.surface is not None:
-                pieces, axes = load_pieces(self.surface)
-                write_moved(path, clip, fit_to_clip(pieces, clip, axes), progress=bars)
-                notes += note_separation(clip)
-                return [path]
-            notes += chosen.write_motion(path, clip, drawn_frames(clip), progress=bars)
-            return [path]
-        if self.all:
-            path = self.out or self.clip.with_name(f"{self.clip.stem}-{chosen.name}")
-            frames = drawn_frames(clip)
-            form: Any = {"write": chosen.write, "suffix": chosen.suffix, "name": self.clip.stem}
-            names = write_sequence(path, clip, **form, frames=frames, progress=bars)
-            return [path] if path.is_file() else [path / name for name in names]
-        index = self.frame or 0
-        name = f"{self.clip.stem}_{index + 1:04}{chosen.suffix}"
-        path = self.out or self.clip.with_name(name)
-        chosen.write(path, first)
-        return [path]
-
 
 def _refuse_name(path: Path, chosen: Format) -> None:
     """Refuse to replace a file of a run, and a file name with the ending of another format."""
@@ -223,16 +185,6 @@ def _refuse_name(path: Path, chosen: Format) -> None:
         limit = f"files of the format {chosen.title} end in {chosen.suffix}."
         remedy = f"Rename it, or choose --to {' or '.join(others)}." if others else "Rename it."
         raise InputError("out", path, limit, remedy)
-
-
-def note_lost(gaussians: Gaussians, chosen: Format) -> list[str]:
-    """Return notes about data that the chosen format cannot store."""
-    if gaussians.sh_degree <= chosen.degree:
-        return []
-    return [
-        f"{chosen.title} stores no harmonics above degree {chosen.degree}: changes of colour with "
-        "the direction are left out."
-    ]
 
 
 def _note_dropped(count: int) -> list[str]:
@@ -249,7 +201,7 @@ def _note_far(content: Content) -> list[str]:
     ]
 
 
-def _show(files: list[Path], count: int, chosen: Format, notes: list[str], *, as_json: bool) -> int:
+def _show(files: list[Path], count: int, notes: list[str], chosen: Format, *, as_json: bool) -> int:
     size = sum(path.stat().st_size for path in files)
     if as_json:
         data = {"files": [str(path) for path in files], "gaussians": count, "bytes": size}

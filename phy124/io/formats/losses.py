@@ -55,3 +55,13 @@ def describe_losses(path: Path, written: Gaussians, format: Format) -> list[str]
         f"{format.title} cannot store the Gaussians of an object of {size:.2g} m exactly enough: "
         f"it {' and '.join(parts)}. Use the format {REMEDY}, which stores float32."
     ]
+
+
+def note_lost(gaussians: Gaussians, format: Format) -> list[str]:
+    """Return notes about data that a format cannot store."""
+    if gaussians.sh_degree <= format.degree:
+        return []
+    return [
+        f"{format.title} stores no harmonics above degree {format.degree}: changes of colour with "
+        "the direction are left out."
+    ]

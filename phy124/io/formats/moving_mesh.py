@@ -61,8 +61,8 @@ def note_separation(clip: Clip) -> list[str]:
         return []
     return [
         "The material flows, crumbles or tears, but a moving mesh keeps its triangles, so they are "
-        "distorted where the material separates. Use --to mesh --all, which writes the surface of "
-        "each frame."
+        "distorted where the material separates. Use the format mesh for all frames, which writes "
+        "the surface of each frame."
     ]
 
 
