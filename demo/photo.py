@@ -110,6 +110,23 @@ def fetch_nothing(page: gr.Blocks) -> None:
         block.async_move_resource_to_block_cache = local
 
 
+def count_values(page: gr.Blocks) -> None:
+    """Refuse requests of programs that have too few or too many values for an endpoint."""
+
+    def check(block_fn: Any, inputs: list[Any]) -> None:
+        if len(inputs) == len(block_fn.inputs) or block_fn.api_visibility != "public":
+            return usual(block_fn, inputs)
+        names, endpoint = [b.label for b in block_fn.inputs if not b.skip_api], block_fn.api_name
+        raise refusal(
+            f"{endpoint}: This endpoint has {len(names)} arguments ({', '.join(names)}), but the "
+            f"request has {len(inputs)}. Give all of them in this order, or give some of them by "
+            f"name to /gradio_api/call/v2/{endpoint}."
+        )
+
+    usual = page.validate_inputs
+    page.validate_inputs = check
+
+
 def save_data_url(url: str, studio: Studio, name: str) -> str:
     """Store the picture of a data: URL as an upload; return the path of the upload.
 

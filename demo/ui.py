@@ -13,7 +13,7 @@ from .endpoints import endpoints
 from .handlers.results import REPORT
 from .jobs import Studio
 from .panels import make_panel, mark_answers
-from .photo import fetch_nothing
+from .photo import count_values, fetch_nothing
 from .settings import Settings
 from .visitors import Visitors
 from .zerogpu import work_on_gpu
@@ -95,6 +95,7 @@ def build(studio: Studio) -> gr.Blocks:
         _wire_fit(studio, done, fit, takeaway, shows)
         endpoints(studio)
     fetch_nothing(page)
+    count_values(page)
     mark_answers(page)
     return page
 

@@ -1,4 +1,9 @@
-"""Requests of programs: their arguments as models."""
+"""Requests of programs: their arguments as models, and their number."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
 
 
 def test_extras_leave_out_the_scene_and_compose(gradio):
@@ -8,3 +13,17 @@ def test_extras_leave_out_the_scene_and_compose(gradio):
     extras = MeasureRequest(**asked).extras
     assert extras["side"] == "b.png" and not {"image", "preset", "compose"} & set(extras)
     assert GenerateRequest(**asked, compose=True).extras == {**extras, "compose": True}
+
+
+def test_requests_with_too_few_values_are_refused_in_a_sentence(gradio):
+    from demo.photo import count_values
+
+    blocks = [SimpleNamespace(label=name, skip_api=not name) for name in ("", "first", "second")]
+    event = SimpleNamespace(inputs=blocks, api_name="add", api_visibility="public")
+    page: Any = SimpleNamespace(validate_inputs=lambda event, inputs: None)
+    count_values(page)
+    page.validate_inputs(event, [None, 1, 2])
+    for values in ([1], [None, 1, 2, 3]):
+        sentence = rf"add: .* 2 arguments \(first, second\), but the request has {len(values)}\."
+        with pytest.raises(gradio.Error, match=sentence):
+            page.validate_inputs(event, values)
