@@ -381,6 +381,7 @@ def test_more_gaussians_than_samples_have_an_interior(monkeypatch):
     monkeypatch.setattr(solid, "MAX_SAMPLES", 20_000)
     shell = dots(0.5 * directions(30_000, np.random.default_rng(0)), 1e-4)
     assert find_solid(shell, 1 / 32).volume == pytest.approx(BALL, rel=0.1)
+    assert len(solid._voxelise(shell).means) == 10_000, "each has a sample, and as many are left"
 
 
 def test_the_same_gaussians_outline_the_same_solid_only_once(rng, monkeypatch):

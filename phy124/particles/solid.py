@@ -180,8 +180,7 @@ def _digest(gaussians: Gaussians) -> bytes:
 def _find_interior(gaussians: Gaussians) -> Solid:
     opaque = gaussians.opacities >= VISIBLE
     some = gaussians.select(opaque) if opaque.any() else gaussians
-    # Every Gaussian has at least one sample; half of the samples remain for large Gaussians.
-    grid = _voxelise(some.select(slice(None, None, math.ceil(2 * len(some) / MAX_SAMPLES))))
+    grid = _voxelise(some)
     region, outside = _find_inside(grid)
     surface = find_surface(region, region & _dilate(outside, 1), grid.samples)
     fraction = surface.fill(region)
@@ -201,6 +200,8 @@ class _Voxels:
 
 def _voxelise(gaussians: Gaussians) -> _Voxels:
     """Return the finest grid on which samples are connected; if there is none, the finest grid."""
+    # Every Gaussian has at least one sample; half of the samples remain for large Gaussians.
+    gaussians = gaussians.select(slice(None, None, math.ceil(2 * len(gaussians) / MAX_SAMPLES)))
     extent = _extent(gaussians)
     finest, voxel = None, float(extent.max()) / ACROSS
     while finest is None or voxel <= 4 * finest.voxel:
