@@ -10,7 +10,7 @@ from phy124.camera import Camera
 from phy124.errors import InputError
 from phy124.generators.ply_file import PlyFile
 from phy124.generators.relief import relief
-from phy124.particles.thinning import check_count, thin, with_count
+from phy124.particles.thinning import check_count, note_few, thin, with_count
 from phy124.pipeline.gaussians import make_object
 from phy124.rendering.render import Renderer
 from phy124.runtime.context import RunContext
@@ -18,14 +18,22 @@ from phy124.scene import Scene
 from support.shapes import ball
 
 
-@pytest.mark.parametrize(
-    ("count", "noted"),
-    [(100, True), (3000, False), pytest.param(None, False, marks=pytest.mark.slow)],
-)
-def test_far_fewer_gaussians_than_requested_are_noted(count, noted):
+@pytest.mark.parametrize("count", [100, 700, pytest.param(None, marks=pytest.mark.slow)])
+def test_relief_makes_about_the_requested_number(count):
     duck = Path(__file__).parents[1] / "demo/examples/duck.png"
     made = make_object(duck, Scene(), RunContext(device="cpu"), method="grabcut", count=count)
-    assert any("instead of 100: --gaussians" in note for note in made.about["notes"]) == noted
+    assert len(made.gaussians) == pytest.approx(count or 50_000, rel=0.05)
+    assert not any("--gaussians" in note for note in made.about["notes"])
+
+
+def test_far_fewer_gaussians_than_requested_are_noted():
+    def make(picture, *, count: int = 9):
+        return ball(count // 3)
+
+    assert note_few(make, 40, 50) == note_few(make, 40, None) == note_few(len, 20, 50) == []
+    assert note_few(make, 20, 50) == [
+        "The generator made 20 Gaussians instead of 50: --gaussians is approximate."
+    ]
 
 
 def test_few_stay_as_they_are():

@@ -44,8 +44,7 @@ def note_few(make: Any, made: int, count: int | None) -> list[str]:
     if count is None or made > FEW * count or "count" not in inspect.signature(make).parameters:
         return []
     return [
-        f"The generator made {made:,} Gaussians instead of {count:,}: --gaussians is approximate, "
-        "most of all for small numbers."
+        f"The generator made {made:,} Gaussians instead of {count:,}: --gaussians is approximate."
     ]
 
 

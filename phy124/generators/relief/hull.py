@@ -16,12 +16,14 @@ import scipy
 import warp as wp
 from numpy.typing import NDArray
 
-from phy124.generators.relief.surface import Implicit, relax, settle
+from phy124.generators.relief.surface import WIDEST, Implicit, relax, settle, thin_out
 from phy124.kernels import implicit
 
 Field = NDArray[np.float64]
 COARSE = 4
 """Cell size of the coarse search, relative to the final search."""
+TRIAL = 3.0
+"""Spacing of the random points that measure the hull's area [pixels]."""
 OUTSIDE = -4.0
 """Lower limit of s - 1 far outside the object (see `Hull`)."""
 TOLERANCE = 0.25
@@ -130,9 +132,9 @@ def spread_over(
         rng: Random number generator.
         alive: Called between rounds; may raise an exception to cancel.
     """
-    trial = 3.0
-    pitch = trial * float(np.sqrt(max(len(hull.scatter(trial, rng)), 1) / count))
-    points = hull.scatter(pitch, rng)
+    trial = hull.scatter(TRIAL, rng)
+    pitch = TRIAL * float(np.sqrt(max(len(trial), 1) / count))
+    points = thin_out(trial, TRIAL, pitch, rng) if pitch > WIDEST else hull.scatter(pitch, rng)
 
     def spacing_at(normals: Field) -> Field:
         return np.full(len(normals), pitch)

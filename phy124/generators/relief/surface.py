@@ -70,6 +70,10 @@ OVERHANG = 5.0
 """Points are distributed up to this distance beyond the flat ends [pixels]."""
 TRIAL = 2.0
 """Spacing of the random points that measure the surface's area [pixels]."""
+WIDEST = 5.0
+"""Largest spacing of points that are scattered directly [pixels]. Larger cubes would miss parts of
+the surface.
+"""
 ROUNDS = 6
 """Number of relaxation rounds; after five rounds, the spacing is even to about 10 %."""
 ALIKE = 3
@@ -226,7 +230,7 @@ def spread(
     walls = TRIAL**2 * np.count_nonzero(_between(trial, ends))
     faces = sum(surface.section(end.corner) for end in ends)
     pitch = float(np.sqrt((walls + faces) / count))
-    points = _scatter(surface, pitch, rng)
+    points = thin_out(trial, TRIAL, pitch, rng) if pitch > WIDEST else _scatter(surface, pitch, rng)
     points = points[_between(points, ends, OVERHANG)]
 
     def spacing_at(normals: Field) -> Field:
@@ -235,6 +239,12 @@ def spread(
     points = settle(surface, points, spacing_at, alive)
     _, spacing = relax(surface, points, spacing_at)
     return points, surface.normals(points), spacing, pitch
+
+
+def thin_out(points: Field, spacing: float, wider: float, rng: np.random.Generator) -> Field:
+    """Choose some random points [N,3] on a surface, so that their spacing becomes wider."""
+    count = round(len(points) * (spacing / wider) ** 2)
+    return points[rng.choice(len(points), min(max(count, 1), len(points)), replace=False)]
 
 
 def _between(points: Field, ends: Sequence[End], by: float = 0.0) -> NDArray[np.bool_]:
