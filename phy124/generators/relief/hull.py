@@ -134,7 +134,8 @@ def spread_over(
     """
     trial = hull.scatter(TRIAL, rng)
     pitch = TRIAL * float(np.sqrt(max(len(trial), 1) / count))
-    points = thin_out(trial, TRIAL, pitch, rng) if pitch > WIDEST else hull.scatter(pitch, rng)
+    few, part = pitch > WIDEST, (TRIAL / pitch) ** 2
+    points = thin_out(trial, part, rng) if few else hull.scatter(pitch, rng)
 
     def spacing_at(normals: Field) -> Field:
         return np.full(len(normals), pitch)

@@ -230,7 +230,8 @@ def spread(
     walls = TRIAL**2 * np.count_nonzero(_between(trial, ends))
     faces = sum(surface.section(end.corner) for end in ends)
     pitch = float(np.sqrt((walls + faces) / count))
-    points = thin_out(trial, TRIAL, pitch, rng) if pitch > WIDEST else _scatter(surface, pitch, rng)
+    few, part = pitch > WIDEST, (TRIAL / pitch) ** 2
+    points = thin_out(trial, part, rng) if few else _scatter(surface, pitch, rng)
     points = points[_between(points, ends, OVERHANG)]
 
     def spacing_at(normals: Field) -> Field:
@@ -241,10 +242,10 @@ def spread(
     return points, surface.normals(points), spacing, pitch
 
 
-def thin_out(points: Field, spacing: float, wider: float, rng: np.random.Generator) -> Field:
-    """Choose some random points [N,3] on a surface, so that their spacing becomes wider."""
-    count = round(len(points) * (spacing / wider) ** 2)
-    return points[rng.choice(len(points), min(max(count, 1), len(points)), replace=False)]
+def thin_out(points: Field, part: float, rng: np.random.Generator) -> Field:
+    """Choose a part (a fraction) of points [N,3] at random."""
+    count = max(round(len(points) * part), 1)
+    return points[rng.choice(len(points), count, replace=False)]
 
 
 def _between(points: Field, ends: Sequence[End], by: float = 0.0) -> NDArray[np.bool_]:
