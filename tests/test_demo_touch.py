@@ -262,7 +262,8 @@ def test_walls_are_where_the_scene_has_them_and_move_with_it():
         {"kind": "held", "lower": [-9, -9, -9], "upper": [9, 9, 0.1], "end": 0.05},
     ]
     rest = ball(100).means.astype(float)
-    run = SimpleNamespace(scene=small(boundaries=boundaries), rest=rest, time=0.0)
+    still = {"rest": rest, "bodies": {"": rest}, "time": 0.0}
+    run = SimpleNamespace(scene=small(boundaries=boundaries), **still)
     walls = Walls(run)
     assert walls.floor == pytest.approx(-0.1)
     sphere, clamp = walls.data()
@@ -272,7 +273,7 @@ def test_walls_are_where_the_scene_has_them_and_move_with_it():
     run.time = 0.25
     later = np.frombuffer(walls.frame(), "<f4")
     assert later[2] == pytest.approx(-0.25) and np.isnan(later[4:]).all(), "it has let go"
-    alone = Walls(SimpleNamespace(scene=small(boundaries=[]), rest=rest, time=0.0))
+    alone = Walls(SimpleNamespace(scene=small(boundaries=[]), **still))
     assert alone.floor is None and alone.data() == []
     assert np.isnan(np.frombuffer(alone.frame(), "<f4")).all()
 

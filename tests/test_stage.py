@@ -20,6 +20,7 @@ from phy124.rendering.frames import render_frames
 from phy124.rendering.render import Renderer
 from phy124.rendering.stage.build import Stage, make_stage
 from phy124.rendering.stage.frame import POOL, Backdrop, Floor, Solid, StageFrame, bounds
+from phy124.rendering.stage.rest import AtRest
 from phy124.scene import Scene, View
 from phy124.simulation import Simulation, prepare
 from support.clips import flight
@@ -412,3 +413,18 @@ def test_the_report_says_whether_there_is_a_stage():
     assert name in Effects.of(Scene.from_data({"view": {"stage": "studio"}})).ran
     (left,) = [o for o in Effects.of(Scene()).left_out if o.name == name]
     assert left.why == "view.stage is plain: pictures show the object alone"
+
+
+def test_plate_of_a_single_frame_is_placed_by_the_rest():
+    """A view of a running simulation has only the present frame, in which the object is flat."""
+    scene = Scene.from_data({"boundaries": [{"kind": "press"}]}).data()
+    high, flat = (
+        replace(Clip.from_frames([Frame(0, 0.0, ball(500).transform(1.0, [0, 0, z]))]), scene=scene)
+        for z in (0.5, 0.2)
+    )
+    placed = [
+        at(make_stage(high, STUDIO), 0),
+        at(make_stage(flat, STUDIO, rest=AtRest.of(high)), 0),
+    ]
+    assert placed[0].solids[0].centre[2] == placed[1].solids[0].centre[2]
+    assert at(make_stage(flat, STUDIO), 0).solids[0].centre[2] < placed[0].solids[0].centre[2]

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from phy124.gaussians import Gaussians
 from phy124.live import Live
 from phy124.motion.binding import find_carriers
+from phy124.rendering.stage.rest import AtRest
 from phy124.rendering.stage.solids import floor_heights, place_walls
 
 MOST = 5000
@@ -92,7 +93,8 @@ class Walls:
 
     def __init__(self, live: Live) -> None:
         self._live = live
-        walls = place_walls(live.scene.boundaries, live.rest)
+        rest = AtRest(live.rest, live.bodies, live.rest[:0])
+        walls = place_walls(live.scene.boundaries, rest)
         self._floors = [wall for wall in walls if wall.is_floor]
         self._others = [wall for wall in walls if not wall.is_floor]
 

@@ -18,6 +18,7 @@ from phy124.io.clip import Clip
 from phy124.io.html import pack
 from phy124.rendering.render import Renderer
 from phy124.rendering.stage.build import Stage, make_stage, pack_stage
+from phy124.rendering.stage.rest import AtRest
 from phy124.scene import Scene
 
 from ..progress import Glimpse, Live, Tell
@@ -38,7 +39,7 @@ def glimpses(order: Order, tell: Tell) -> Callable[[Frame], None]:
     def show(frame: Frame) -> None:
         nonlocal camera, rest
         camera = camera or _camera(frame, order.scene)
-        rest = frame.gaussians.means if rest is None else rest
+        rest = rest or AtRest.of(Clip.from_frames([frame]))
         stage = _stage(frame, order.scene, rest)
         around = stage and stage.at(replace(frame, index=0))
         picture = renderer.picture(
@@ -68,7 +69,7 @@ def lives(order: Order, tell: Tell) -> Callable[[Frame], None]:
         some = thin_frame(frame, chosen)
         path = folder / f"{frame.index:04d}.pack"
         background = order.scene.view.background
-        rest = frame.gaussians.means if rest is None else rest
+        rest = rest or AtRest.of(Clip.from_frames([frame]))
         clip = Clip.from_frames([some])
         around = pack_stage(_stage(some, order.scene, rest), clip)
         data = pack(clip, camera, background=background, stage=around)
@@ -90,7 +91,7 @@ def thin_frame(frame: Frame, chosen: np.ndarray) -> Frame:
     return Frame(frame.index, frame.time, some)
 
 
-def _stage(frame: Frame, scene: Scene, rest: np.ndarray) -> Stage | None:
+def _stage(frame: Frame, scene: Scene, rest: AtRest) -> Stage | None:
     clip = replace(Clip.from_frames([frame]), scene={"boundaries": scene.data()["boundaries"]})
     return make_stage(clip, scene.view, rest=rest)
 

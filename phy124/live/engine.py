@@ -157,6 +157,12 @@ class Live:
         return self._run.solver.model.rest
 
     @property
+    def bodies(self) -> dict[str, NDArray[np.float64]]:
+        """Positions of each body's particles at rest [P,3], m, by name."""
+        model = self._run.solver.model
+        return {name: model.rest_of(name) for name in model.names} or {"": model.rest}
+
+    @property
     def look(self) -> Appearance:
         """Gaussians of the object at rest, and a mask of the Gaussians that move."""
         return self._run.setup.appearance

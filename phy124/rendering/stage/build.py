@@ -85,12 +85,15 @@ class Stage:
         return Floor(height, caster.middle, caster.reach, shade, self.pool)
 
 
-def make_stage(clip: Clip, view: View, *, device: str = "cpu") -> Stage | None:
+def make_stage(
+    clip: Clip, view: View, *, rest: AtRest | None = None, device: str = "cpu"
+) -> Stage | None:
     """Build the stage of a clip; None if the view shows the object in front of a plain background.
 
     Args:
         clip: The clip.
         view: View that defines the stage and the background.
+        rest: The objects at rest. If None, the objects in the first frame.
         device: Warp's name of the device that computes the shadows.
 
     Raises:
@@ -101,19 +104,18 @@ def make_stage(clip: Clip, view: View, *, device: str = "cpu") -> Stage | None:
     if view.stage == "transparent":
         return None
     background = backdrop(view)
-    body = AtRest.of(clip)
-    rest = body.points
-    if view.stage == "plain" or not len(rest):
+    rest = AtRest.of(clip) if rest is None else rest
+    if view.stage == "plain" or not len(rest.points):
         return Stage(background, np.zeros(len(clip)), (), None)
-    walls = place_walls(boundaries_of(clip), body)
-    heights = floor_heights(walls, rest, clip.times)
+    walls = place_walls(boundaries_of(clip), rest)
+    heights = floor_heights(walls, rest.points, clip.times)
     shown = tuple(
         (wall.solid(), wall.displacements(clip.times), wall.present(clip.times))
         for wall in walls
         if not wall.is_floor
     )
     shadowing = None if clip.object_mask.all() else clip.object_mask
-    return Stage(background, heights, shown, _caster(clip, rest, heights, device), shadowing)
+    return Stage(background, heights, shown, _caster(clip, rest.points, heights, device), shadowing)
 
 
 def _finite(points: NDArray) -> NDArray[np.bool_]:
