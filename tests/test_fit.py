@@ -26,7 +26,14 @@ from phy124.studies.fit.interval import (
     shift_values,
     suggest_experiment,
 )
-from phy124.studies.fit.observation import Kind, Table, at_times, read_table, refuse_outside
+from phy124.studies.fit.observation import (
+    Forces,
+    Kind,
+    Table,
+    at_times,
+    read_table,
+    refuse_outside,
+)
 from phy124.studies.fit.points import Points
 from phy124.studies.fit.problem import Distance, differentiate
 from phy124.studies.fit.search import refine
@@ -111,6 +118,25 @@ def test_intervals_hold_the_truth_in_90_of_100_seeds():
     result = [estimate(Oscillator(seed), seed=seed) for seed in range(100)]
     held = sum(np.abs(item.on(np.inf)[0] - TRUTH) <= item.on(np.inf)[1] for item in result)
     assert np.all(held >= 90)
+
+
+def test_intervals_hold_the_truth_if_forces_have_correlated_errors():
+    """The errors of the forces on a wall are an AR(1) process with coefficient 0.8."""
+    frames, held = 96, 0
+    shape = np.stack([np.sin(6 * (t := np.linspace(0, 1, frames))), 0 * t, 1 - np.exp(-5 * t)], 1)
+    names = np.full(frames, "floor")
+    table = Table(np.arange(frames) / 24, names, shape, ("fx", "fy", "fz"))
+    groups, kinds = Forces(table, ("floor",)).groups, [Kind("forces", "N", slice(0, 3 * frames))]
+    for seed in range(100):
+        errors = np.random.default_rng(seed).normal(size=shape.shape)
+        errors[1:] *= 0.6
+        for k in range(1, frames):
+            errors[k] += 0.8 * errors[k - 1]
+        slope = shape.reshape(-1, 1)
+        value = float(slope[:, 0] @ errors.ravel() / (slope**2).sum())
+        spread = bootstrap(slope, slope[:, 0] * value - errors.ravel(), groups, kinds, seed)
+        held += abs(value) <= spread.errors[0]
+    assert 88 <= held <= 100
 
 
 def test_fit_of_stiffness_and_mass_is_refused():

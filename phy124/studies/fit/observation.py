@@ -75,6 +75,13 @@ def _numbers(
 
 
 Groups = NDArray[np.int64]
+FEWEST = 8
+"""Smallest number of groups for the bootstrap.
+
+The errors of a point or wall at all times are correlated, so its measurements are a group. If there
+are fewer points or walls, their measurements are divided into equal intervals of time, whose errors
+are treated as independent.
+"""
 ROUNDED = 1e-3
 """Largest assumed rounding error of times in files [s]."""
 
@@ -143,6 +150,20 @@ def at_times(times: Values, values: Values, wanted: Values) -> Values:
     return make_interp_spline(times, values, k=min(3, len(times) - 1))(wanted)
 
 
+def divide(track: NDArray[np.int64], times: Values) -> Groups:
+    """Return the group of each row [R] of a table, from 0.
+
+    A group contains the rows of a point or wall, whose index is `track` [R], or a part of them.
+    """
+    counts = np.bincount(track)
+    parts = -(-FEWEST // len(counts))
+    order = np.lexsort((times, track))
+    rank = np.empty_like(order)
+    rank[order] = np.arange(len(order)) - (np.cumsum(counts) - counts)[track[order]]
+    part = rank * parts // counts[track]
+    return np.unique(track * parts + part, return_inverse=True)[1]
+
+
 def refuse_outside(field: str, source: object, times: Values, length: float) -> None:
     """Refuse measurements outside the time range of a scene.
 
@@ -189,7 +210,7 @@ class Forces:
         self._wall = np.array([walls.index(str(name)) for name in table.names])
         self._times, self.last = table.times, float(table.times.max())
         self.measured: Values = table.values.ravel()
-        self.groups: Groups = np.repeat(np.arange(len(table.times)), 3)
+        self.groups: Groups = np.repeat(divide(self._wall, table.times), 3)
 
     def predict(self, clip: Clip) -> Values:
         """Predict the forces [M] from a clip."""

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from phy124.camera import Camera
 from phy124.errors import InputError
 from phy124.io.clip import Clip
-from phy124.studies.fit.observation import Groups, Table, Values, at_times
+from phy124.studies.fit.observation import Groups, Table, Values, at_times, divide
 
 NEIGHBOURS = 4
 """Number of Gaussians whose weighted mean predicts the position of a point."""
@@ -19,12 +19,6 @@ PLACES = (
     "--side (pixels)."
 )
 """Remedy for points of a file that are far from the object."""
-FEWEST = 8
-"""Smallest number of groups for the bootstrap.
-
-The errors of a point at all times are correlated, so the point is a group. Tracks of fewer points
-are divided into equal intervals of time, whose errors are treated as independent.
-"""
 
 
 class Points:
@@ -65,7 +59,7 @@ class Points:
         self.chosen, self.weights = chosen
         width = table.values.shape[1]
         self.measured = self._shape(table.values)
-        self.groups: Groups = np.repeat(_divide(self._track, table.times), width)
+        self.groups: Groups = np.repeat(divide(self._track, table.times), width)
 
     def predict(self, clip: Clip) -> Values:
         """Predict the positions of the points [M] from a clip."""
@@ -83,17 +77,6 @@ class Points:
         counts = np.bincount(self._track)[:, None]
         sums = np.stack([np.bincount(self._track, column) for column in values.T], axis=1)
         return (values - (sums / counts)[self._track]).ravel()
-
-
-def _divide(track: NDArray[np.int64], times: Values) -> Groups:
-    """Return the group of each row [R] of a table, from 0; a group is a track or a part of it."""
-    counts = np.bincount(track)
-    parts = -(-FEWEST // len(counts))
-    order = np.lexsort((times, track))
-    rank = np.empty_like(order)
-    rank[order] = np.arange(len(order)) - (np.cumsum(counts) - counts)[track[order]]
-    part = rank * parts // counts[track]
-    return np.unique(track * parts + part, return_inverse=True)[1]
 
 
 def _first(table: Table, names: NDArray[np.str_], track: NDArray) -> Values:
