@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from phy124.accuracy.probe import run_pilot
-from phy124.boundaries import Box, Container, HalfSpace, Path
+from phy124.boundaries import Box, Container, HalfSpace
 from phy124.budget.cost import count_substeps
 from phy124.budget.effects import Effects
 from phy124.budget.remedies import find_speedups
@@ -361,25 +361,6 @@ def test_effects_say_that_a_projected_liquid_is_inviscid():
     assert "inviscid" in reasons["viscosity"] and "surface tension" in reasons
 
 
-def test_piston_raises_the_level():
-    motion = Path(times=(0.0, 0.5), points=((0.0, 0.0, 0.0), (0.1, 0.0, 0.0)))
-    piston = HalfSpace(point=(0, 0, 0), normal=(1, 0, 0), contact="slip", motion=motion)
-    tank = Container(inside=Region(lower=(-1, 0, 0), upper=(1, 1, 1e9)), contact="slip")
-    solver = run(liquid(block((0, 0, 0), (1, 1, 0.5), 8), 8, [tank, piston]), 30)
-    assert heights(solver).mean() == pytest.approx(0.5 / 0.9, rel=0.02)
-    assert solver.state.x.numpy()[:, 0].min() > 0.1 - 0.25 * solver.model.dx
-
-
-def test_no_liquid_is_behind_a_piston_of_a_cell_per_step():
-    motion = Path(times=(0.0, 0.1), points=((0.0, 0.0, 0.0), (0.2, 0.0, 0.0)), smooth=False)
-    piston = HalfSpace(point=(0, 0, 0), normal=(1, 0, 0), contact="slip", motion=motion)
-    tank = Container(inside=Region(lower=(-1, 0, 0), upper=(1, 1, 1e9)), contact="slip")
-    solver = liquid(block((0, 0, 0), (1, 1, 0.5), 8), 8, [tank, piston])
-    for frame in range(1, 5):
-        solver.advance(frame / 40)
-        assert solver.state.x.numpy()[:, 0].min() > 2.0 * frame / 40
-
-
 def test_liquid_that_an_impact_compresses_is_not_crowded():
     x = block((0.25, 0.25, 0.2), (0.5, 0.5, 0.45), 8)
     drop = liquid(x, 8, [TANK])
@@ -390,23 +371,6 @@ def test_liquid_that_an_impact_compresses_is_not_crowded():
         for frame in range(20):
             solver.advance((frame + 1) / 24)
         assert solver.lasting < most
-
-
-def test_box_that_shrinks_below_its_liquid_does_not_explode():
-    """The box has room for two thirds of the liquid in the end; speeds stay near the wall's."""
-    motion = Path(times=(0.0, 1.0), points=((0.0, 0.0, 0.0), (-0.5, 0.0, 0.0)))
-    wall = HalfSpace(point=(1, 0, 0), normal=(-1, 0, 0), contact="slip", motion=motion)
-    box = Container(inside=Region(lower=(0, 0, 0), upper=(2, 1, 1)), contact="slip")
-    solver = liquid(block((0, 0, 0), (1, 1, 0.75), 8), 8, [box, wall])
-    fastest = 0.0
-    for _ in range(6):
-        run(solver, 12)
-        fastest = max(fastest, np.linalg.norm(solver.state.v.numpy(), axis=1).max())
-    x = solver.state.x.numpy()
-    assert min(solver.crowding, solver.lasting) > 0.1
-    assert fastest < 3
-    assert ((x > 0) & (x < (0.5, 1, 1))).all()
-    assert np.linalg.norm(solver.state.v.numpy(), axis=1).mean() < 0.1
 
 
 @pytest.mark.slow

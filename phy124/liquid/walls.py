@@ -153,23 +153,26 @@ class Walls:
             move: True: the moving walls are added; False: the fixed walls are written.
 
         Returns:
-            Three lists of launches; workers wait for each other between them.
+            Lists of launches; workers wait for each other between them. Each region has lists of
+            its own, since a cell belongs to different workers in different regions.
         """
-        chosen = [group for group in self._groups if group.moves == move]
-        each = [self._describe_group(cells, group, worker, workers) for group in chosen]
-        regions = [self._region(cells, group) for group in chosen] if move else [cells.whole]
+        regions: dict[Region, list[Group]] = {} if move else {cells.whole: []}
+        for group in self._groups:
+            if group.moves == move:
+                regions.setdefault(cells.region(group.reach, group.first), []).append(group)
+        distances, parts = [], []
+        for region, groups in regions.items():
+            each = [self._describe_group(cells, group, region, worker, workers) for group in groups]
+            distances.append([distance for distance, _ in each])
+            parts.append([part for _, parts_of_group in each for part in parts_of_group])
         shares = [self.share(cells, region, worker, workers) for region in regions]
-        return [
-            [distance for distance, _ in each],
-            [part for _, parts in each for part in parts],
-            shares,
-        ]
+        return [*distances, *parts, shares]
 
     def _describe_group(
-        self, cells: Cells, group: Group, worker: int, workers: int
+        self, cells: Cells, group: Group, region: Region, worker: int, workers: int
     ) -> tuple[Recorded, list[Recorded]]:
         """Return the launch for distances, and the launches for open parts of faces and cells."""
-        model, region = self._model, self._region(cells, group)
+        model = self._model
         shape = [group.numbers, group.geometries, self.slots, cells.lattice, cells.window]
         shape += [self._places, group.frame, region.box]
 
@@ -184,9 +187,6 @@ class Walls:
         distance = record(kernels.make_wall_distance, points, [], [*near, cells.owners])
         openings = record(kernels.make_openings, count, near, [cells.open, cells.covers])
         return distance, [openings, record(kernels.make_eighths, 8 * count, near, [cells.eighths])]
-
-    def _region(self, cells: Cells, group: Group) -> Region:
-        return cells.region(group.reach, group.first)
 
     def share(self, cells: Cells, region: Region, worker: int, workers: int) -> Recorded:
         """Return a worker's launch that computes the fractions of B-splines inside walls.
