@@ -1,40 +1,83 @@
-"""The time of a substep on lattices, from the calls of a pilot run and the durations of a probe."""
+"""The time of a substep, from the stages of a pilot run and of a probe at rest."""
 
 import pytest
 
+from phy124.accuracy import Forecaster, probe
 from phy124.accuracy.probe import run_pilot
-from phy124.accuracy.stages import Stage, average_stages, predict_substep
+from phy124.accuracy.stages import OTHER, Stage, average_stages, predict_substep
 from phy124.scene import Scene
+from phy124.simulation import Simulation, prepare
 from support.shapes import ball
+
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
+
+def with_box(first: dict, second: dict, **changes) -> Simulation:
+    """Return a ball under a box that falls on it."""
+    box = {"name": "box", "shape": "box", "size": 0.5, "on": "object", "lift": 0.05}
+    data = {
+        "material": first,
+        "objects": [{**box, "material": second}],
+        "forces": [{"kind": "gravity"}],
+        "boundaries": [{"kind": "ground"}],
+        "time": {"frames": 4},
+        "accuracy": {"cells": 12, "solver": "lattice"},
+    }
+    return Simulation(prepare(ball(300), Scene.from_data({**data, **changes})))
 
 
 def test_stages_are_averages_over_substeps():
-    made = average_stages({"stress": [6.0, 12], "near": [0.0, 0]}, 4)
-    assert made == {"stress": Stage(3.0, 0.5)}
+    made = average_stages({"stress": [6.0, 12], "near": [0.0, 0]}, 4, 6.4)
+    assert made == {"stress": Stage(3.0, 0.5), OTHER: Stage(1.0, pytest.approx(0.1))}
 
 
 def test_time_between_stages_stays():
-    stages = {"stress": Stage(1.0, 2.0)}
-    assert predict_substep(stages, stages, 1.0, 2.5) == pytest.approx(2.5)
+    stages = {"stress": Stage(1.0, 2.0), OTHER: Stage(1.0, 0.5)}
+    assert predict_substep(stages, stages, stages, 1.0) == pytest.approx(2.5)
 
 
 def test_calls_are_those_of_the_pilot():
     pilot = {"stress": Stage(1.5, 0.1), "frequency": Stage(0.5, 0.2), "wait": Stage(4.0, 1.0)}
-    probe = {"stress": Stage(1.0, 2.0), "frequency": Stage(0.05, 4.0), "wait": Stage(4.0, 0.1)}
-    total = 2.0 + 0.05 * 4.0 + 4.0 * 0.1 + 0.3
-    expected = 1.5 * 2.0 + 0.5 * 4.0 + 4.0 * 0.1 + 0.3
-    assert predict_substep(pilot, probe, 2.0, total) == pytest.approx(expected)
+    probed = {"stress": Stage(1.0, 2.0), "frequency": Stage(0.05, 4.0), "wait": Stage(4.0, 0.1)}
+    expected = 1.5 * 2.0 + 0.5 * 4.0 + 4.0 * 0.1
+    assert predict_substep(pilot, pilot, probed, 2.0) == pytest.approx(expected)
 
 
 def test_contact_takes_the_longer_of_both_durations():
     pilot = {"contact": Stage(3.0, 0.2), "meetings": Stage(0.1, 1.0)}
-    probe = {"contact": Stage(3.0, 0.1)}
-    assert predict_substep(pilot, probe, 2.0, 0.3) == pytest.approx(3 * 0.4 + 0.1 * 2.0)
+    probed = {"contact": Stage(3.0, 0.1)}
+    assert predict_substep(pilot, pilot, probed, 2.0) == pytest.approx(3 * 0.4 + 0.1 * 2.0)
+
+
+def test_a_call_takes_longer_in_motion_than_at_rest():
+    moving, resting = {"gather": Stage(1.0, 0.3)}, {"gather": Stage(1.0, 0.2)}
+    probed = {"gather": Stage(1.0, 0.8)}
+    assert predict_substep(moving, resting, probed, 1.5) == pytest.approx(0.8 * 1.5)
 
 
 def test_pilot_on_a_lattice_counts_the_calls_of_its_motion():
     scene = Scene.named("press").replaced({"accuracy": {"cells": 8}, "time.frames": 3})
-    assert not run_pilot(ball(300), scene.replaced({"accuracy.solver": "mpm"})).stages
-    stages = run_pilot(ball(300), scene.replaced({"accuracy.solver": "lattice"})).stages
-    assert stages["nodes"].calls == 2
-    assert 0 < stages["meetings"].calls < 1
+    pilot = run_pilot(ball(300), scene.replaced({"accuracy.solver": "lattice"}))
+    assert pilot.stages["nodes"].calls == 2
+    assert 0 < pilot.stages["meetings"].calls < 1
+
+
+def test_forecast_of_a_wet_lattice_has_the_liquid_s_stages():
+    tank = {"lower": [-0.6, -0.6, 0], "upper": [0.6, 0.6, 1e9]}
+    changes = {"boundaries": [{"kind": "container", "inside": tank, "contact": "slip"}]}
+    run = with_box({"law": "fluid"}, {"law": "neo_hookean"}, **changes)
+    forecaster = Forecaster()
+    forecaster.of(run, filming=False)
+    assert not run.timings, "the times of the probe are not those of the run"
+    pilot = forecaster._pilot(run)
+    assert {"pressure", "contact", "p2g"} <= pilot.stages.keys() & pilot.resting.keys()
+    stages = run.run().report["substep_stages"]
+    assert all(stage["seconds"] >= 0 for stage in stages), stages
+
+
+def test_substeps_of_stiff_lattices_among_particles(monkeypatch):
+    monkeypatch.setattr(probe, "CELLS", 8)
+    run = with_box({"law": "neo_hookean", "E": 5e6}, {"law": "plasticine"})
+    made = Forecaster().of(run, filming=False)
+    run.run()
+    assert made.substeps == pytest.approx(run.solver.clock.substeps, rel=0.06)

@@ -237,11 +237,10 @@ class Forecaster:
         scene = simulation.scene
         pilot = self._pilot(simulation)
         rates, nodes, each_frame = probe(simulation, pilot)
-        rest = substeps_at_rest(simulation.solver) / scene.time.fps if pilot.stages else None
+        rest = substeps_at_rest(simulation.solver) / scene.time.fps if pilot.on_lattice else None
         substeps, limiters = pilot.substeps(scene.resolution.cells, rest)
-        mean_nodes = nodes * pilot.growth
         particles = len(simulation.setup.particles)
-        per_substep = rates.particle * particles + rates.node * mean_nodes
+        per_substep = rates.particle * particles + rates.node * nodes
         once, each_shape = time_shapes(simulation)
         stages = {
             "simulate": substeps * per_substep + scene.time.frames * each_frame,
@@ -255,14 +254,14 @@ class Forecaster:
                 companion.count_threads(simulation.setup)
             )
             stages["companion"] = cost * faster * stages["simulate"]
-            if pilot.stages:  # a companion run takes as long as a pilot run
+            if pilot.on_lattice:  # a companion run takes as long as a pilot run
                 ratio = companion.coarsen(scene).resolution.cells / pilot.cells
                 stages["companion"] = pilot.seconds * ratio**GROWTH
         return Forecast(
             stages,
             measured=(),
             particles=particles,
-            nodes=round(mean_nodes),
+            nodes=nodes,
             substeps=substeps,
             limiters=limiters,
             rates=rates,

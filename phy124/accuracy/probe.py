@@ -79,8 +79,8 @@ class SubstepCost:
 def probe(simulation: Simulation, pilot: Pilot | None = None) -> tuple[SubstepCost, int, float]:
     """Measure the time of a substep, the number of nodes, and the time of the checks per frame [s].
 
-    The simulation is then reset to its initial state. With a pilot run, substeps on lattices are
-    not measured at rest.
+    The simulation is then reset to its initial state. With a pilot run, the time of a substep and
+    the number of nodes are means over the motion.
     """
     solver, watchdog = simulation.solver, simulation.find(Watchdog)
     after = None if watchdog is None else watchdog.after_substep
@@ -91,35 +91,48 @@ def probe(simulation: Simulation, pilot: Pilot | None = None) -> tuple[SubstepCo
     spent = 0.0
     try:
         while len(rounds) < ROUNDS and spent < LONGEST_PROBE:
-            spent += measure_time(lambda: rounds.append(_seconds_per_substep(solver, after, pilot)))
+            spent += measure_time(
+                lambda: rounds.append(_seconds_per_substep(simulation, after, pilot))
+            )
             simulation.roll_back(start)
         checks = min(measure_time(lambda: _run_empty_frame(simulation)) for _ in range(TRIES))
     finally:
         simulation.roll_back(start)
         _clear_timings(solver)
     seconds, fraction, nodes = sorted(rounds)[len(rounds) // 2]
+    if pilot is not None:
+        nodes = round(nodes * pilot.growth)
     particle = seconds * (1 - fraction) / len(solver.model)
     return SubstepCost(particle, seconds * fraction / max(nodes, 1)), nodes, checks
 
 
 def _seconds_per_substep(
-    solver: AnySolver, after: Callable[[], None] | None, pilot: Pilot | None
+    simulation: Simulation, after: Callable[[], None] | None, pilot: Pilot | None
 ) -> tuple[float, float, int]:
     """Return the time of a substep [s], the fraction of the time that is proportional to the number
     of nodes, and the number of nodes.
     """
-    if isinstance(solver, Solver) and solver.on_device:
+    solver = simulation.solver
+    if _on_device(solver):
         return _seconds_in_graph(solver, after), 0.0, solver.grid.count
+    each, stages = _time_substeps(simulation, after)
+    if pilot is not None and pilot.stages:
+        finer = pilot.dx / solver.model.dx
+        each = predict_substep(pilot.stages, pilot.resting, stages, finer)
+    return each, _node_fraction(solver), solver.grid.count
+
+
+def _time_substeps(
+    simulation: Simulation, after: Callable[[], None] | None = None
+) -> tuple[float, Stages]:
+    """Return the time of one of the next substeps [s], and its stages."""
+    solver = simulation.solver
     each = min(measure_time(lambda: _advance(solver, 2, after)) / 2 for _ in range(2))
     _clear_timings(solver)
     before, count = solver.clock.substeps, int(np.clip(LONGEST_PROBE / each, MIN_PROBE, PROBE))
     seconds = measure_time(lambda: _advance(solver, count, after))
     taken = solver.clock.substeps - before
-    each = seconds / taken
-    if pilot is not None and pilot.stages:
-        stages, finer = average_stages(solver.timings, taken), pilot.finer(solver.model.dx)
-        each = predict_substep(pilot.stages, stages, finer, each)
-    return each, _node_fraction(solver), solver.grid.count
+    return seconds / taken, average_stages(simulation.timings, taken, seconds)
 
 
 def _seconds_in_graph(solver: AnySolver, after: Callable[[], None] | None) -> float:
@@ -146,8 +159,10 @@ def _run_empty_frame(simulation: Simulation) -> None:
 
 
 def _clear_timings(solver: AnySolver) -> None:
-    for worker in solver.workers:
-        worker.timings.clear()
+    """Clear the times of a solver, and of the solvers that it contains."""
+    for part in (solver, *(getattr(solver, name, None) for name in ("lattice", "liquid"))):
+        for worker in getattr(part, "workers", ()):
+            worker.timings.clear()
 
 
 def measure_time(work: Callable[[], Any]) -> float:
@@ -286,16 +301,14 @@ class Pilot:
     """See `EXCESS`."""
     dx: float = 1.0
     """Side of a cell [m]."""
+    resting: Stages = field(default_factory=dict)
+    """Stages of a substep at rest; empty if a graph on a GPU takes the substeps."""
     stages: Stages = field(default_factory=dict)
-    """Stages on lattices; empty for other solvers."""
+    """Stages of a substep in the whole motion; empty as `resting`."""
+    on_lattice: bool = False
+    """Whether all objects are on lattices."""
     seconds: float = 0.0
-    """Duration with preparation [s]."""
-
-    def finer(self, dx: float) -> float:
-        """Return how many times finer than the pilot's grid a grid with cells of side `dx` [m]
-        is.
-        """
-        return self.dx / dx
+    """Duration with preparation, but without the trial at rest [s]."""
 
     def substeps(self, cells: int, rest: float | None = None) -> tuple[int, dict[str, float]]:
         """Predict the number of substeps on another grid, and the fraction that each limit
@@ -363,9 +376,11 @@ def run_pilot(
     softening = simulation.find(Softening)
     counts = {name: np.zeros(timing.frames - 1) for name in LIMITERS}
     factors = scene.softnesses(np.arange(timing.frames - 1) / timing.fps)
-    nodes, rest = [], 0.0
-    stopped = False
+    nodes, rest, trial, spent = [], 0.0, 0.0, 0.0
+    stopped, resting, stages = False, {}, {}
     try:
+        if not _on_device(solver):
+            trial = measure_time(lambda: resting.update(_stages_at_rest(simulation)))
         solver.step(0.0, 0.0)
         rest = substeps_at_rest(solver) / timing.fps
         _clear_timings(solver)  # Removes the limits of the first substep, which has no duration.
@@ -373,19 +388,38 @@ def run_pilot(
             before = dict(solver.clock.needed)
             if softening is not None:
                 softening.follow(float(factors[frame]))
-            solver.advance((frame + 1) / timing.fps)
+            spent += measure_time(lambda frame=frame: solver.advance((frame + 1) / timing.fps))
             for name, needed in solver.clock.needed.items():
                 counts[name][frame] = needed - before.get(name, 0.0)
             nodes.append(solver.grid.count)
     except Unstable:
         stopped = True
     growth = float(np.mean(nodes) / nodes[0]) if nodes else 1.0
-    made = Pilot(cells, counts, rest, growth, stopped, factors=factors, dx=solver.model.dx)
-    if _on_lattice(solver):
-        stages = average_stages(solver.timings, solver.clock.substeps - 1)
-        seconds = time.perf_counter() - start
-        return replace(made, excess=ON_LATTICE, stages=stages, seconds=seconds)
+    if resting and solver.clock.substeps > 1:
+        stages = average_stages(simulation.timings, solver.clock.substeps - 1, spent)
+    made = Pilot(
+        cells,
+        counts,
+        rest,
+        growth,
+        stopped,
+        factors=factors,
+        dx=solver.model.dx,
+        resting=resting,
+        stages=stages,
+        on_lattice=_on_lattice(solver),
+        seconds=time.perf_counter() - start - trial,
+    )
+    if made.on_lattice:
+        return replace(made, excess=ON_LATTICE)
     return replace(made, viscous=1 / (solver.clock.viscous * timing.fps))
+
+
+def _stages_at_rest(simulation: Simulation) -> Stages:
+    start = simulation.checkpoint()
+    _, stages = _time_substeps(simulation)
+    simulation.roll_back(start)
+    return stages
 
 
 def substeps_at_rest(solver: AnySolver) -> float:
@@ -395,7 +429,14 @@ def substeps_at_rest(solver: AnySolver) -> float:
     """
     if _on_lattice(solver):
         return 1 / solver.limits.substep_at_rest
-    return math.sqrt(solver.clock.extremes.stiffness) / (solver.clock.cfl * solver.model.dx)
+    lattices: LatticeSolver | None = getattr(solver, "lattice", None)
+    of_lattices = 0.0 if lattices is None else 1 / lattices.limits.substep_at_rest
+    clock = solver.clock
+    return max(of_lattices, math.sqrt(clock.extremes.stiffness) / (clock.cfl * solver.model.dx))
+
+
+def _on_device(solver: AnySolver) -> bool:
+    return isinstance(solver, Solver) and solver.on_device
 
 
 def _on_lattice(solver: AnySolver) -> TypeGuard[LatticeSolver]:
