@@ -7,6 +7,7 @@ s, and only deep links use it.
 
 from __future__ import annotations
 
+import math
 import time
 from collections import Counter
 from contextvars import ContextVar
@@ -52,6 +53,8 @@ class Session(SessionState):
     def __init__(self, blocks: Any) -> None:
         known: Any = SimpleNamespace(default_config=blocks.default_config, blocks={})
         super().__init__(known)
+        # A page that has lost its connection comes back; `Sessions.sweep` ends the session.
+        self.STATE_TTL_WHEN_CLOSED = math.inf
         config: Any = self.blocks_config
         config.config_for_block = lambda *_: {}
 

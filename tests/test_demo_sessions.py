@@ -1,5 +1,6 @@
 """Gradio's sessions are small, few per address, and removed when their visitor has left."""
 
+from datetime import timedelta
 from types import SimpleNamespace
 from typing import Any
 
@@ -82,3 +83,14 @@ def test_a_session_goes_with_its_visitor(sessions, kept, visitors, monkeypatch):
     visitors.remove("a")
     kept.sweep()
     assert set(kept.session_data) == {"program"} == set(kept._origins)
+
+
+def test_a_lost_connection_does_not_make_a_page_forget(page, kept):
+    state, _ = page.blocks
+    session = _ask(kept, "a")
+    session[state] = "a picture"
+    session.is_closed = True  # as Gradio does when the stream of the page ends
+    lifetime, at = session._state_ttl[state]
+    session._state_ttl[state] = lifetime, at - timedelta(days=1)
+    kept.delete_all_expired_state()
+    assert session[state] == "a picture"
