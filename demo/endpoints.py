@@ -187,9 +187,9 @@ def _generate(studio: Studio) -> Callable[[gr.Request, GenerateRequest], Iterato
         name = _admit(studio, request)
         kinds = _check_choices("formats", asked.formats or [], list(EXPORTS))
         scene, cutting = _cut_out(studio, name, asked)
-        visitor = studio.visitors.get(name)
         gaussians = len(scene.names) * studio.settings.gaussians
         with _refusing():
+            visitor = studio.visitors.expect(name)
             check_size(kinds, scene.time.frames, gaussians, studio.visitors.room.each)
         for _ in _follow(cutting, visitor, "image"):
             yield (gr.skip(),) * 3
@@ -213,7 +213,8 @@ def _measure(studio: Studio) -> Callable[[gr.Request, MeasureRequest], Iterator[
         """Measure a scene's error (fraction of the object's size) and time [s] on several grids."""
         name = _admit(studio, request)
         scene, cutting = _cut_out(studio, name, asked)
-        visitor = studio.visitors.get(name)
+        with _refusing():
+            visitor = studio.visitors.expect(name)
         for _ in _follow(cutting, visitor, "image"):
             yield (gr.skip(),) * 3
         with _refusing():
@@ -332,7 +333,8 @@ def _render(studio: Studio) -> Handler:
             extras = {**choice.extras, "compose": compose}
             data = {**choice.data, "view": view}
             job = studio.run(replace(choice, name=name, data=data, extras=extras))
-        for _ in _follow(job, studio.visitors.get(name), "run"):
+            visitor = studio.visitors.expect(name)
+        for _ in _follow(job, visitor, "run"):
             yield gr.skip(), gr.skip()
         yield _paths(job.progress.result), job.progress.result.report
 
@@ -349,7 +351,8 @@ def _fit(studio: Studio) -> Handler:
         name, options = visitor_of(request), {"seconds": seconds, "side": side, "speed": speed}
         with _refusing():
             job = studio.fits.begin(name, run[0], video, options)
-        for _ in _follow(job, studio.visitors.get(name), "fit"):
+            visitor = studio.visitors.expect(name)
+        for _ in _follow(job, visitor, "fit"):
             yield gr.skip(), gr.skip()
         result = job.progress.result
         yield [str(path) for path in result.files], result.report

@@ -174,7 +174,7 @@ def extras_of(visitors: Visitors, settings: Settings, name: str, values: Any) ->
         raise InputError("generator", making.generator, limit, "Remove `generator`.")
     if "depth" in sent:
         depth["depth"] = str(sent.pop("depth"))
-    cutouts = {option: cutout_file(visitors.get(name), path) for option, path in sent.items()}
+    cutouts = {option: cutout_file(visitors.expect(name), path) for option, path in sent.items()}
     reading = validate(Reading, axes, "known")
     orientation(reading.up, reading.front)  # raises an error for invalid axes
     return ExtraInputs(

@@ -114,7 +114,7 @@ class Studio:
             limit = "A file of Gaussians contains only one object."
             raise InputError("pick", pick, limit, "Remove the point.")
         check_file(upload, self.settings)
-        visitor = self.visitors.get(name)
+        visitor = self.visitors.expect(name)
 
         def work(job: Job) -> None:
             deadline = Deadline(self.settings.max_cut_seconds, job.check)
@@ -151,7 +151,7 @@ class Studio:
         """
         upload = self._upload(name, picture)
         check_picture(upload, self.settings)
-        visitor = self.visitors.get(name)
+        visitor = self.visitors.expect(name)
 
         def work(job: Job) -> None:
             deadline = Deadline(self.settings.max_cut_seconds, job.check)

@@ -129,6 +129,17 @@ class Visitors:
                 visitor = self._known[name] = Visitor(folder, address)
             return visitor
 
+    def expect(self, name: str) -> Visitor:
+        """Return the visitor with a name; the call counts as a request of the visitor.
+
+        Raises:
+            InputError: There is no such visitor, for example because the visitor was removed.
+        """
+        visitor = self.find(name)
+        if visitor is None:
+            raise _unknown()
+        return visitor
+
     @property
     def used(self) -> float:
         """Size of all files at the last measurement, including files being written [bytes]."""
@@ -206,7 +217,7 @@ class Visitors:
             InputError: The path is not an upload of the visitor. The message does not reveal
                 whether the path exists.
         """
-        visitor = self.get(name)
+        visitor = self.expect(name)
         path = visitor.folder / "uploads" / Path(str(requested)).name
         if str(requested) == str(self.arrivals.folder / path.name):
             # The first request that names an upload moves the upload to this path.
@@ -215,9 +226,7 @@ class Visitors:
         elif str(requested) != str(path):
             path = path.parent
         if not is_plain_file(path):
-            raise InputError(
-                "picture", "unknown", "The server does not have this picture.", "Choose it again."
-            )
+            raise _unknown()
         return path
 
     def check_work(self, visitor: Visitor, most: int) -> None:
@@ -318,6 +327,11 @@ class Visitors:
 
 def _most_silent(visitors: list[tuple[str, Visitor]]) -> str:
     return max(visitors, key=lambda entry: entry[1].silence)[0]
+
+
+def _unknown() -> InputError:
+    limit = "The server does not have this picture."
+    return InputError("picture", "unknown", limit, "Choose it again.")
 
 
 def _full(count: int) -> InputError:

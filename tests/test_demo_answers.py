@@ -12,7 +12,7 @@ from demo.jobs import Studio
 from demo.line import Job
 from demo.settings import Settings
 from demo.source import Choice, Cutout
-from demo.visitors import Visitors
+from demo.visitors import UNUSED, Visitors
 from demo.work import Done
 from phy124.scene import Scene
 
@@ -96,6 +96,19 @@ def _chosen(studio: Studio, handlers, path: Path) -> dict[str, Any]:
     shown = handlers.on_choose(studio)(_event(upload=sent), request)[0]
     assert studio.visitors.get("a").jobs[shown["job"]].wait(60)
     return handlers.on_cut_end(studio)(shown, None, _event(job=shown["job"]), None)[0]
+
+
+@pytest.mark.parametrize("name", ["on_choose", "on_correct", "on_choose_view", "on_choose_object"])
+def test_each_panel_counts_newcomers_of_an_address(studio, gradio, name):
+    """Requests of programs need not begin with the choice of a picture."""
+    from demo import handlers
+
+    answer, panels = getattr(handlers, name)(studio), ({}, None) if name == "on_correct" else ()
+    client = SimpleNamespace(host="10.0.0.1")
+    for number in range(UNUSED + 4):
+        request = SimpleNamespace(client=client, session_hash=f"new {number}")
+        answer(*panels, _event(option="side", upload="/gone"), request)
+    assert len(studio.visitors) == UNUSED
 
 
 @pytest.mark.parametrize("kind", ["cut", "read", "run"])

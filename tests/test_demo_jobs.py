@@ -159,6 +159,7 @@ def test_a_fifo_among_the_uploads_is_not_opened(studio):
 
 
 def test_upload_of_a_program_gets_its_owner_on_first_use(studio):
+    studio.visitors.get("session a")
     sent = studio.visitors.store(None, DUCK.read_bytes(), ".png")
     job = studio.cut_out("session a", str(sent))
     assert Path(job.subject).parent == studio.visitors.get("session a").folder / "uploads"

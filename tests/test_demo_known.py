@@ -96,6 +96,8 @@ def test_other_pictures_have_the_limits_of_the_first(studio, tmp_path):
 
 
 def test_a_program_names_a_picture_as_often_as_it_likes(studio):
+    for name in "ab":
+        studio.visitors.get(name)
     arrived = str(studio.visitors.store(None, DUCK.read_bytes(), ".png"))
     once, twice = (studio.check_extras("a", {"depth": arrived}) for _ in range(2))
     assert once == twice

@@ -195,10 +195,11 @@ def test_uploads_without_a_name_are_few_for_each_address(visitors):
 
 
 def test_an_upload_is_counted_where_it_is(visitors):
+    visitors.get("a")
     path = visitors.store(None, bytes(100), ".png")
     upload = visitors.find_upload("a", str(path))
     assert upload.exists() and visitors.find_upload("a", str(path)) == upload
-    assert visitors.used == visitors.get("a").used == 100 and visitors.arrivals.size == 0
+    assert visitors.used == visitors.expect("a").used == 100 and visitors.arrivals.size == 0
 
 
 def test_counting_files_blocks_no_request(tmp_path, monkeypatch):

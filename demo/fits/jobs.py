@@ -93,8 +93,8 @@ class Fits:
             InputError: The request is invalid, or another fit of the visitor is running.
         """
         asked, expected = fit_options_of(options, self.settings), self.offer(done)["seconds"]
-        visitor = self.visitors.get(name)
-        if done is None or done.clip.parents[1] != visitor.folder:
+        visitor = self.visitors.find(name)
+        if visitor is None or done is None or done.clip.parents[1] != visitor.folder:
             raise InputError("run", "none", NO_RESULT, "Generate one first.")
         upload = self._upload(name, video)
         check_video(upload, self.settings)

@@ -41,10 +41,10 @@ def on_choose(studio: Studio) -> Handler:
         if path is None and example is None:
             return {}, None, {}
         try:
-            studio.visitors.get(visitor_of(request), address_of(request))
+            name = _admit(studio, request)
             if example is not None:
-                path = _sent_example(studio, visitor_of(request), example)
-            job = studio.take(visitor_of(request), path)
+                path = _sent_example(studio, name, example)
+            job = studio.take(name, path)
         except InputError as error:
             return _not_cut(error), None, {}
         return {**_cutting(studio, job), "picture": _picture(job)}, None, {}
@@ -61,7 +61,7 @@ def on_correct(studio: Studio) -> Handler:
         try:
             strokes = read_strokes(data_of(event).get("strokes", []))
             pick = read_place(data_of(event).get("pick")) or (made and made.pick)
-            job = studio.cut_out(visitor_of(request), picture, strokes, pick)
+            job = studio.cut_out(_admit(studio, request), picture, strokes, pick)
         except InputError as error:
             return {**table_of(shown), **_not_cut(error)}
         return {**table_of(shown), **_cutting(studio, job)}
@@ -131,6 +131,13 @@ def _not_cut(error: InputError) -> dict[str, Any]:
     return {"job": None, "message": user_message(error), "again": error.field == "queue"}
 
 
+def _admit(studio: Studio, request: gr.Request) -> str:
+    """Return the name of the visitor who sends a request, within the limits of the address."""
+    name = visitor_of(request)
+    studio.visitors.get(name, address_of(request))
+    return name
+
+
 def _sent_example(studio: Studio, visitor: str, name: Any) -> str:
     path = EXAMPLES / f"{name}.png"
     if path not in EXAMPLES.glob("*.png"):
@@ -144,10 +151,11 @@ def on_choose_view(studio: Studio) -> Handler:
     def choose(event: gr.EventData, request: gr.Request) -> dict[str, Any]:
         option, path = str(data_of(event).get("option")), data_of(event).get("upload")
         try:
-            inputs = studio.check_extras(visitor_of(request), {option: path})
+            name = _admit(studio, request)
+            inputs = studio.check_extras(name, {option: path})
             if inputs.depth.path is not None:
                 return _answer(event, picture=file_of(inputs.depth.path))
-            job = studio.cut_out(visitor_of(request), path, kind="view")
+            job = studio.cut_out(name, path, kind="view")
         except InputError as error:
             return _answer(event, message=user_message(error))
         return _answer(event, job=job.name)
@@ -161,7 +169,7 @@ def on_choose_object(studio: Studio) -> Handler:
     def choose(event: gr.EventData, request: gr.Request) -> dict[str, Any]:
         path = data_of(event).get("upload")
         try:
-            job = studio.cut_out(visitor_of(request), path, kind="view")
+            job = studio.cut_out(_admit(studio, request), path, kind="view")
         except InputError as error:
             return _answer(event, message=user_message(error))
         return _answer(event, job=job.name)
