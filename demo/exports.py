@@ -6,7 +6,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
@@ -18,7 +18,6 @@ from phy124.io.flaws import hide_flaws
 from phy124.io.formats import FORMATS, Format, written_formats
 from phy124.pipeline.exporting import export_clip
 from phy124.rendering.film import write_player
-from phy124.scene import View
 
 from .room import all_taken
 from .visitors import Visitor, Visitors
@@ -119,13 +118,12 @@ class Export:
 
 def _html(done: Done, path: Path) -> list[str]:
     clip, notes = hide_flaws(Clip.load(done.clip / "clip.safetensors"))
-    view = View.model_validate(clip.scene["view"])
-    write_player(path, clip, view, "front")
+    write_player(path, clip, done.view, "front")
     return notes
 
 
 def _write_format(format: Format, every: bool, done: Done, path: Path) -> list[str]:
-    clip = Clip.load(done.clip / "clip.safetensors")
+    clip = replace(Clip.load(done.clip / "clip.safetensors"), scene=done.scene.data())
     return export_clip(path, clip, format, every=every, name="phy124").notes
 
 

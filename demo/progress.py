@@ -11,6 +11,8 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
+from phy124.scene import Scene, View
+
 from .course import Course
 
 STAGES = {"generate": "Picture to 3D", "simulate": "Physics", "render": "Videos", "save": "Files"}
@@ -156,9 +158,9 @@ class Done:
     """Event: a run has ended. The event contains the folders of the results."""
 
     clip: Path
-    """Folder of the clip, its Gaussians and its scene."""
+    """Folder of the clip, its Gaussians and the scene of the first run that made the clip."""
     films: Path
-    """Folder of the videos, the player's pack and the report."""
+    """Folder of the videos, the player's pack, the scene and the report."""
     study: Path
     """File in which the error measured on this scene is stored."""
 
@@ -166,6 +168,22 @@ class Done:
     def exports(self) -> Path:
         """Folder for files in further formats, which are created when the visitor requests them."""
         return self.films.parent.parent / "exports" / self.films.name
+
+    @property
+    def is_stored(self) -> bool:
+        """Whether the clip and the videos still exist."""
+        return (self.films / "report.json").exists() and (self.clip / "clip.safetensors").exists()
+
+    @property
+    def scene(self) -> Scene:
+        """The run's scene with the view of the videos, without the paths of uploads."""
+        return Scene.from_toml(self.films / "scene.toml")
+
+    @property
+    def view(self) -> View:
+        """The view of the videos, with the path of its picture."""
+        view, uploads = self.scene.view, self.films.parents[1] / "uploads"
+        return view.model_copy(update={"picture": view.picture and uploads / view.picture})
 
     @property
     def report(self) -> dict[str, Any]:

@@ -11,7 +11,7 @@ input has changed. Each line shows a path and the inputs of its key:
     films/KEY/                    clip and view
     exports/KEY/                  formats made on demand from the clip of films/KEY
     studies/KEY.json              Gaussians and the scene without its view and grid
-    fits/CLIP-KEY/                clip, video, and options of the fit
+    fits/CLIP-KEY/                clip, view, video, and options of the fit
 
 A folder is kept while its visitor sends requests (an open page sends one every minute), and for a
 grace period after the last request.

@@ -58,6 +58,7 @@ def done(visitors, tmp_path, three_gaussians) -> Done:
     clip.mkdir()
     films.mkdir()
     (films / "report.json").write_text("{}")
+    (films / "scene.toml").write_text(Scene.named("press").to_toml(), "utf-8")
     frames = [Frame(i, i / 10, three_gaussians.transform(1, np.array([i, 0, 0]))) for i in range(2)]
     made = Clip.from_frames(frames)
     scene = Scene.named("press").data()

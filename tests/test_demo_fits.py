@@ -44,7 +44,7 @@ def filmed(path: Path, count: int = 12, fps: float = 24) -> Path:
 
 
 def result_of(visitor, **changes) -> Done:
-    """A finished run: a cube that falls, said to be of the scene `press`."""
+    """A finished run: a cube that falls, said to be of the scene `press`, in another view."""
     clip, _ = falling()
     done = Done(visitor.folder / "clips" / "a", visitor.folder / "films" / "b", Path("none"))
     for folder in (done.clip, done.films):
@@ -53,6 +53,8 @@ def result_of(visitor, **changes) -> Done:
     scene = Scene.named("press").replaced({"time.frames": 5, **changes})
     clip.scene.update(scene.data())
     clip.save(done.clip / "clip.safetensors")
+    seen = scene.replaced({"view.elevation": 40.0, "view.picture": "beach.jpg"})
+    (done.films / "scene.toml").write_text(seen.to_toml(), "utf-8")
     return done
 
 
@@ -176,7 +178,8 @@ def test_a_fit_is_forecast_and_asked_for_as_declared(studio):
     assert studio.fits.begin("a", done, video, options).wait(60)
     (wanted,) = studio.fits.search.asked
     assert (wanted.side, wanted.fps, wanted.seconds, wanted.align) == ("right", 24, value, True)
-    assert Scene().replaced(wanted.set).view.only("right").sides == ("right",)
+    view = Scene().replaced(wanted.set).view
+    assert view.only("right").sides == ("right",) and view.elevation == 40.0 and not view.picture
     assert wanted.find["material.E"].log_uniform == (4e3, 4e5)
     few, many = (outlook(Scene().replaced({"time.frames": n}), Rates()).wall(9) for n in (5, 50))
     assert few < many

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from demo.exports import EXPORTS
 from demo.pictures import cut_out
 from demo.progress import Done, Glimpse, Live, Reused, Step
 from demo.visitors import STAGES
@@ -66,6 +67,7 @@ def test_everything_is_made(order):
         "clip.pack",
         "orbit.webp",
     }
+    assert "scene.toml" in {path.name for path in done.films.iterdir()}
     assert len(Clip.load(done.clip / "clip.safetensors")) == 3
     assert not order.stop.exists() and not DEVICE.locked()
 
@@ -124,6 +126,21 @@ def test_another_view_does_not_simulate(order):
     assert {"front.mp4", "dolly.mp4"} <= made and not any("outputs" in name for name in made)
     assert done.clip == first.clip and done.films != first.films
     assert _stages(events) == {"render", "save"}
+
+
+def test_each_result_of_a_clip_has_the_view_of_its_videos(order):
+    first, _ = _run(order)
+    picture = order.folder / "uploads" / "beach.png"
+    Image.new("RGB", (8, 8), "blue").save(picture)
+    view = {"view.elevation": 40.0, "view.picture": str(picture)}
+    done, _ = _run(replace(order, scene=order.scene.replaced(view)))
+    assert done.clip == first.clip and str(order.folder) not in str(done.scene)
+    assert (done.view.elevation, done.view.picture) == (40.0, picture)
+    assert first.scene == order.scene and first.view == order.scene.view
+    players = [each.films / "player.html" for each in (first, done)]
+    for each, path in zip((first, done), players, strict=True):
+        EXPORTS["html"].write(each, path)
+    assert players[0].read_bytes() != players[1].read_bytes()
 
 
 def test_other_physics_do_not_generate(order):

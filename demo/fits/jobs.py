@@ -62,7 +62,7 @@ class Fits:
         Raises:
             InputError: The result cannot be fitted on this page.
         """
-        if done is None or not (done.clip / "report.json").exists():
+        if done is None or not done.is_stored:
             raise InputError("run", "none", NO_RESULT, "Generate one first.")
         if find_spec("cma") is None:
             limit = "This server cannot search for a softness: the package cma is not installed."
@@ -143,5 +143,5 @@ def _watch(job: Job, out: Path) -> None:
 
 def _folder(visitor: Visitor, done: Done, upload: Path, asked: FitOptions) -> Path:
     """A fit to the same video continues in the same folder."""
-    options = asked.model_dump(exclude={"seconds"})
-    return visitor.folder / "fits" / f"{done.clip.name}-{key(upload.read_bytes(), options)}"
+    options, view = asked.model_dump(exclude={"seconds"}), done.view.model_dump(mode="json")
+    return visitor.folder / "fits" / f"{done.clip.name}-{key(upload.read_bytes(), options, view)}"

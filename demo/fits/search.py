@@ -11,7 +11,6 @@ from typing import Any
 
 from phy124.budget.cost import Rates, Work
 from phy124.errors import InputError
-from phy124.io.clip import read_scene
 from phy124.io.files import replacing
 from phy124.runtime import isolated
 from phy124.runtime.isolated import Deadline, Unfinished
@@ -96,6 +95,7 @@ def declare_fit(done: Done, scene: Scene, seen: Seen, asked: FitOptions) -> Fit:
         InputError: The material has no stiffness that could be fitted.
     """
     stiffness = softness(scene)
+    view = scene.view.model_dump(mode="json", exclude_none=True, exclude={"picture"})
     low, high = max(stiffness / TIMES, SOFTEST), min(stiffness * TIMES, STIFFEST)
     return Fit.from_data(
         {
@@ -103,7 +103,7 @@ def declare_fit(done: Done, scene: Scene, seen: Seen, asked: FitOptions) -> Fit:
             "object": str(done.clip / "clip.safetensors"),
             "find": {NAME: {"log_uniform": (low, high)}},
             # `fps` refers to real time. The videos of the run may show other sides than this video.
-            "set": {"view.speed": 1.0, "view.views": [asked.side]},
+            "set": {"view": {**view, "speed": 1.0, "views": [asked.side]}},
             "fps": seen.fps,
             "side": asked.side,
             "align": True,
@@ -184,7 +184,7 @@ def scene_of_result(done: Done) -> Scene:
     Raises:
         InputError: The scene depends on a picture, whose path is not stored in the clip.
     """
-    scene = Scene.from_data(read_scene(done.clip / "clip.safetensors"))
+    scene = done.scene
     for field, _ in files_named(scene):
         if not field.startswith("view."):
             limit = f"The scene has a picture ({field}); this page cannot fit such scenes."

@@ -12,7 +12,6 @@ from phy124.errors import InputError
 from phy124.io.clip import read_scene, read_shape
 from phy124.io.formats import FORMATS
 from phy124.particles.thickness import Proportions
-from phy124.scene import Scene
 
 from ..exports import EXPORTS, export, notes_on
 from ..fits import newest
@@ -113,10 +112,7 @@ def _with_report(studio: Studio, name: str, shown: Any) -> list[Any]:
 
 
 def _is_there(done: Any) -> bool:
-    """The clip may be missing although the videos still exist."""
-    if not isinstance(done, Done):
-        return False
-    return (done.films / "report.json").exists() and (done.clip / "clip.safetensors").exists()
+    return isinstance(done, Done) and done.is_stored
 
 
 def on_load(studio: Studio) -> Handler:
@@ -178,8 +174,7 @@ def report_of(studio: Studio, job: Job) -> dict[str, Any]:
     """Return the report panel's value for a finished run, with the measured errors of its scene."""
     done: Done = job.progress.result
     report, study = done.report, read_study(done.study)
-    data = read_scene(done.clip / "clip.safetensors")
-    scene, count = Scene.from_data(data), report["gaussians"]
+    scene, count = done.scene, report["gaussians"]
     proportions = Proportions.of_report(report)
     stops = studio.forecaster.stops(scene, gaussians=count, proportions=proportions, study=study)
     promise = promise_of(scene, proportions, study, report)
@@ -188,7 +183,7 @@ def report_of(studio: Studio, job: Job) -> dict[str, Any]:
     return {
         "sentences": summarise(report, promise),
         "finer": describe_finer(stop, promise) if stop else "",
-        "tables": as_html(report, data, job.progress.expected, stops, study),
+        "tables": as_html(report, scene.data(), job.progress.expected, stops, study),
     }
 
 

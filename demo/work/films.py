@@ -17,19 +17,19 @@ from phy124.rendering.framing import still_camera
 from phy124.rendering.shine import add_gloss
 from phy124.rendering.stage.build import make_stage, pack_stage
 from phy124.runtime.stopwatch import Stopwatch
-from phy124.scene import View
+from phy124.scene import Scene, View
 
 from ..course import FILMING
 from ..progress import Step
 from .limits import Limits
-from .order import Order
+from .order import Order, hide_uploads
 
 MOVING = 320
 """Width and height of the animated WebP [pixels]."""
 
 
 def film(order: Order, clips: Path, out: Path, limits: Limits) -> None:
-    """Write a folder with the videos, the player's pack, an animated picture and the report.
+    """Write a folder with the videos, the player's pack, an animated picture, scene and report.
 
     Args:
         order: The order (the request for a run).
@@ -68,6 +68,8 @@ def film(order: Order, clips: Path, out: Path, limits: Limits) -> None:
             )
             fps = pipeline.playback(order.scene.time.fps, view)
             write_animation(folder / "orbit.webp", images, fps=fps)
+        viewed = Scene.from_data({**clip.scene, "view": order.scene.data()["view"]})
+        (folder / "scene.toml").write_text(hide_uploads(order, viewed.to_toml()), "utf-8")
         report = json.loads((clips / "report.json").read_text("utf-8"))
         report["stages"] = _add_stages(report["stages"], watch.data())
         report["seconds"] += watch.total

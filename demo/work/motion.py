@@ -24,7 +24,7 @@ from phy124.simulation import Simulation
 from ..pictures import HOW, how_cut
 from ..progress import Reused, Step, Tell
 from .limits import Limits
-from .order import Order
+from .order import Order, hide_uploads
 from .others import with_crops
 from .shows import glimpses, lives
 
@@ -96,15 +96,16 @@ def simulate(
 
 
 def _hide_folders(out: Path, order: Order) -> None:
-    """Remove the folder of the server from the paths of uploads in the scene."""
-    place, scene = f"{order.folder / 'uploads'}/", out / "scene.toml"
+    """Write the scene of a clip without the paths of uploads."""
+    scene = out / "scene.toml"
     text = scene.read_text("utf-8")
-    if place not in text:
+    hidden = hide_uploads(order, text)
+    if hidden == text:
         return
     with replacing(scene) as temporary:
-        temporary.write_text(text.replace(place, ""), "utf-8")
+        temporary.write_text(hidden, "utf-8")
     clip = Clip.load(out / "clip.safetensors")
-    named = json.loads(json.dumps(clip.scene).replace(place, ""))
+    named = json.loads(hide_uploads(order, json.dumps(clip.scene)))
     replace(clip, scene=named).save(out / "clip.safetensors")
 
 

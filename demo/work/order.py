@@ -90,6 +90,11 @@ def folders(order: Order) -> tuple[Path, Path]:
     return clips, order.folder / "films" / key(clips.name, view, *more)
 
 
+def hide_uploads(order: Order, text: str) -> str:
+    """Remove the visitor's folder from the paths of uploads in a scene's text."""
+    return text.replace(f"{order.folder / 'uploads'}/", "")
+
+
 def stages_done(order: Order) -> dict[str, Any]:
     """Return arguments of the forecast that state which stages of an order are already finished.
 
