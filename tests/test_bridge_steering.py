@@ -383,6 +383,18 @@ def test_topics_and_frames_name_the_object(tmp_path, monkeypatch):
     assert all(cloud.fields[-1].name == "object_id" for cloud in clouds)
 
 
+def test_every_contact_has_a_topic():
+    """A container consists of several walls; the name of a free solid may contain `_on_`."""
+    walls = [{"kind": "container", "inside": {"lower": [-1, -1, 0], "upper": [3, 1, 9]}}]
+    mat = {**BOX, "name": "cat_on_mat", "place": [1.6, 0], "motion": {"kind": "free"}}
+    run = steered(changes={"boundaries": walls, "objects": [mat]})
+    published = controls(run, OPTIONS, "", action=False).published
+    run.advance()
+    sent = {message.topic for message in contact_messages(run.live, OPTIONS, 0.0)}
+    assert sent == {*published} - {FACTOR} and len(sent) == 1 + 6 + 1
+    assert run.live.pairs == {"object_on_cat_on_mat": "cat_on_mat"}
+
+
 def test_command_steers_an_object_and_keeps_the_session(tmp_path, capsys, monkeypatch):
     clip, session = tmp_path / "clip.safetensors", tmp_path / "session.toml"
     declared = scene(**{"time.frames": 2})

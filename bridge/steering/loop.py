@@ -41,12 +41,9 @@ def controls(run: SteeredRun, options: Options, accuracy: str, *, action: bool) 
         accuracy: Sentence about the accuracy of the run, for the diagnostics.
         action: Whether the sink supports actions.
     """
-    from phy124.monitor.wrenches import wall_names
-
-    walls = wall_names(run.live.scene.with_solids().boundaries)
     return Controls(
         node=STEERED,
-        published=(TF, FACTOR, *(contact(at) for at in (*walls, *run.live.pairs))),
+        published=(TF, FACTOR, *map(contact, run.live.contact_names)),
         heard=run.inputs.heard,
         services=Standard(run, options, action=action).services,
         steps=run.steps if action else None,

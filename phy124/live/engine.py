@@ -30,6 +30,7 @@ from phy124.live.limits import (
     check_vector,
     shorten,
 )
+from phy124.monitor.wrenches import Wrenches
 from phy124.properties.stiffness import SOFTEST, STIFFEST
 from phy124.runtime.context import RunContext
 from phy124.scene import Scene
@@ -367,6 +368,12 @@ class Live:
         The dictionary is empty before the first frame.
         """
         return dict(self._wrenches)
+
+    @property
+    def contact_names(self) -> tuple[str, ...]:
+        """Names of all wrenches of `contacts`, known before the first frame."""
+        wrenches = self._run.find(Wrenches)
+        return () if wrenches is None else wrenches.names
 
     @property
     def pairs(self) -> dict[str, str]:

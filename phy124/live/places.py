@@ -225,7 +225,7 @@ def list_pairs(run: Simulation) -> dict[str, str]:
     """Return the object on which each contact force acts, by the name of the force."""
     solver = run.solver
     acted_on = [solver.model.names[pair.second] for pair in solver.pairs.all]
-    acted_on += [name.rpartition("_on_")[2] for name in solver.free.names]
+    acted_on += [solid for _, solid in solver.free.pairs]
     return dict(zip(pair_names(run.solver), acted_on, strict=True))
 
 

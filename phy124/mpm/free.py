@@ -305,8 +305,13 @@ class FreeBodies(Kept):
     @property
     def names(self) -> tuple[str, ...]:
         """Names of all pairs of a particle body and a solid, such as `body_on_solid`."""
+        return tuple(f"{body}_on_{solid}" for body, solid in self.pairs)
+
+    @property
+    def pairs(self) -> list[tuple[str, str]]:
+        """Names of the particle body and the solid of each pair."""
         called = self._model.names or tuple(map(str, range(self._model.bodies)))
-        return tuple(f"{called[body]}_on_{solid.name}" for solid in self.all for body in self._met)
+        return [(called[body], solid.name) for solid in self.all for body in self._met]
 
     def wrenches(self, seconds: float) -> list[Wrench]:
         """Return the mean wrench of each particle body on each solid since the call of `begin`.
