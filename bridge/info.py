@@ -16,7 +16,7 @@ from phy124.io.clip import Clip
 from . import PROGRAM, bag
 from .backends import AUTOMATIC, REQUIREMENTS, missing, sink_names
 from .layout import FULL, SMALL, VIZ
-from .recover import records
+from .recover import channels, records
 from .sinks.mcap import require_mcap
 from .topics import MAIN
 
@@ -85,7 +85,7 @@ def describe_recording(path: Path) -> list[str]:
     """
     files = bag.recorded_files(path)
     require_mcap()
-    from mcap.records import Channel, Footer, Message
+    from mcap.records import Footer, Message
 
     counts: Counter[str] = Counter()
     times: list[int] = []  # times of the frames [ns]
@@ -95,13 +95,10 @@ def describe_recording(path: Path) -> list[str]:
     for file in files:
         if not file.is_file():
             continue
-        names: dict[int, str] = {}
-        finished = False
+        names, finished = channels(file), False
+        counts.update(dict.fromkeys(names.values(), 0))
         for record in records(file):
-            if isinstance(record, Channel):
-                names[record.id] = record.topic
-                counts[record.topic] += 0
-            elif isinstance(record, Message):
+            if isinstance(record, Message):
                 counts[names[record.channel_id]] += 1
                 if names[record.channel_id] in MAIN:
                     times.append(record.log_time)

@@ -65,7 +65,7 @@ def recover(path: str | os.PathLike[str], output: str | os.PathLike[str] | None 
         file.parent.mkdir(parents=True, exist_ok=True)
         counts = _copy(source, temporary, file.name)
         move_to(temporary, file)
-        if target.suffix != bag.SUFFIX:
+        if target.is_dir():
             bag.write_metadata(target, file.name, counts)
     except OSError as error:
         limit = f"The repaired copy cannot be written ({error.strerror}); {source} is untouched."
@@ -76,7 +76,8 @@ def recover(path: str | os.PathLike[str], output: str | os.PathLike[str] | None 
         temporary.unlink(missing_ok=True)
     if source.suffix == bag.PART and output is None:
         source.unlink()
-    return Recovery(target, sum(counts.messages.get(name, 0) for name in MAIN), repaired=True)
+    repaired = target if target.is_dir() else file
+    return Recovery(repaired, sum(counts.messages.get(name, 0) for name in MAIN), repaired=True)
 
 
 def records(file: Path) -> Iterator[Any]:
@@ -106,6 +107,16 @@ def records(file: Path) -> Iterator[Any]:
             except broken:
                 inside = [None]
             yield from inside
+
+
+def channels(file: Path) -> dict[int, str]:
+    """Return the topic of each channel of an MCAP file, by the channel's number.
+
+    The summary of a finished file also has the channels whose first chunk is damaged.
+    """
+    from mcap.records import Channel
+
+    return {record.id: record.topic for record in records(file) if isinstance(record, Channel)}
 
 
 def _is_finished(path: Path, source: Path) -> bool:
@@ -170,21 +181,18 @@ def _copy(source: Path, destination: Path, name: str) -> bag.Counts:
 
 
 def _copy_records(source: Path, writer: Writer) -> bag.Counts:
-    from mcap.records import Channel, Message, Metadata
+    from mcap.records import Message, Metadata
 
     counts = bag.Counts()
-    # Channels are read from the summary of a finished file, because their first chunk may be
-    # damaged.
-    names = {record.id: record.topic for record in records(source) if isinstance(record, Channel)}
-    known = {number: find_recorded(name) for number, name in names.items()}
+    known = {number: find_recorded(name) for number, name in channels(source).items()}
     topics = {number: topic for number, topic in known.items() if topic is not None}
     counts.announce(list(topics.values()))
-    channels = {number: bag.register(writer, topic) for number, topic in topics.items()}
+    copies = {number: bag.register(writer, topic) for number, topic in topics.items()}
     for record in records(source):
         if isinstance(record, Message):
             counts.add(topics[record.channel_id], record.log_time)
             writer.add_message(
-                channels[record.channel_id],
+                copies[record.channel_id],
                 record.log_time,
                 record.data,
                 record.publish_time,

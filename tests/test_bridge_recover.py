@@ -70,14 +70,15 @@ def test_cut_anywhere_keeps_every_complete_frame(tmp_path, compression):
         assert frames_in(path) == expected[: outcome.frames]
 
 
-def test_recovered_file_has_index_channels_and_metadata(tmp_path):
+@pytest.mark.parametrize("name", ["one.mcap", "one.mcap.part"])
+def test_recovered_file_has_index_channels_and_metadata(tmp_path, name):
     path = tmp_path / "one.mcap"
     clip = random_clip()
     sizes = recorded(path, clip)
     whole = path.read_bytes()
     path.unlink()
     (tmp_path / "one.mcap.part").write_bytes(whole[: sizes[2] + 10])
-    assert recover(path).frames == 3
+    assert recover(tmp_path / name) == Recovery(path, 3, repaired=True)
     assert [file.name for file in tmp_path.iterdir()] == ["one.mcap"]
     with open(path, "rb") as stream:
         reader = make_reader(stream, validate_crcs=True)
@@ -144,6 +145,8 @@ def test_a_damaged_first_chunk_takes_only_the_transform(tmp_path):
     data = bytearray(file.read_bytes())
     data[data.index(b"offered_qos_profiles") + 40] ^= 0xFF
     file.write_bytes(data)
+    lines = describe(path)
+    assert "/phy124/points: 4 messages" in lines and "damaged; run" in lines[-1]
     assert recover(path).frames == 4
     assert frames_in(path) == expected
 
