@@ -147,6 +147,8 @@ class Play:
     def run(self, say: Say) -> int:
         """Play until the end or Ctrl-C."""
         self.simulated.check()
+        if self.record is not None:
+            McapSink(self.record, self.messages, overwrite=self.overwrite).check()
         if self.simulated.live:
             return self._follow(say)
         watch, clip = FileWatch(self.source), open_clip(self.source)
@@ -179,8 +181,6 @@ class Play:
             limit = "A running simulation has no such option."
             raise InputError(asked[0], getattr(self, asked[0]), limit, "Remove it.")
         run = LiveRun(self.source, self.simulated)
-        if self.record:
-            McapSink(self.record, self.messages, overwrite=self.overwrite).check()
         run.prepare()
         about = {"scene": run.scene.data(), "report": run.report}
         with (
@@ -197,15 +197,11 @@ class Play:
         self, say: Say, duration: float | None, **about: Any
     ) -> Iterator[tuple[LiveSink, list[Sink]]]:
         """Every recording stores the metadata `about`."""
-        backend = choose(self.backend)
+        backend, messages = choose(self.backend), self.messages
         with ExitStack() as stack:
-            records: list[Sink] = []
-            if self.record:
-                bag = McapSink(self.record, self.messages, overwrite=self.overwrite, **about)
-                records = [stack.enter_context(Background(bag))]
             sink = open_sink(
                 backend,
-                self.messages,
+                messages,
                 duration=duration,
                 network=self.network,
                 clock=self.clock,
@@ -213,6 +209,11 @@ class Play:
                 ros_args=self.ros_args,
             )
             sink = stack.enter_context(sink)
+            records: list[Sink] = []
+            if self.record:  # with the time stamps of the sink, which starts before the recording
+                messages = messages.model_copy(update={"epoch": sink.start or messages.epoch})
+                bag = McapSink(self.record, messages, overwrite=self.overwrite, **about)
+                records = [stack.enter_context(Background(bag))]
             say(f"Publishing through {backend}. {sink.audience()}".rstrip())
             yield sink, records
 

@@ -5,6 +5,7 @@ import os
 import re
 import shlex
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -134,6 +135,22 @@ def test_play_and_record_beside(clip, monkeypatch, capsys):
         assert reader.message_count == 1 + shown
 
 
+def test_failed_start_of_play_leaves_the_recording(clip, monkeypatch):
+    """The outlet fails; then it starts, and its stamps are also those of the recording."""
+    bag, arguments = clip.parent / "bag", ["play", str(clip), "--backend", "foxglove"]
+    assert main(["record", str(clip), str(bag)]) == 0
+    before = {file: file.read_bytes() for file in bag.iterdir()}
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        arguments += ["--port", str(taken.getsockname()[1])]
+        assert main([*arguments, "--record", str(bag), "--overwrite"]) == 2
+        assert {file: file.read_bytes() for file in bag.iterdir()} == before
+        assert main([*arguments, "--record", str(clip.parent / "new")]) == 2
+    monkeypatch.setattr(FoxgloveSink, "start", 1_700_000_000.0)
+    assert main([*arguments, "--record", str(clip.parent / "new")]) == 0
+    with Reader(clip.parent / "new") as reader:
+        assert reader.start_time == 1_700_000_000 * 10**9
+
+
 @pytest.mark.skipif(os.name == "nt", reason="Windows protects a file that is mapped")
 def test_a_clip_that_is_overwritten_ends_play_with_a_message(clip, monkeypatch, capsys):
     """Frames are read from the file; the end of a shorter file would be a bus error."""
@@ -187,7 +204,10 @@ def test_a_clip_that_is_overwritten_ends_play_with_a_message(clip, monkeypatch, 
         (["record", "CLIP", "--translation", "1", "2"], "it needs 3 values."),
         (["record", "CLIP", "--frame-id", ""], "frame-id = '': it is empty."),
         (["play", "CLIP", "--backend", "foxglove", "--port", "65536"], "port = 65536: it must"),
-        (["play", "CLIP", "--backend", "foxglove", "--record", "/proc"], "cannot be written there"),
+        (
+            ["play", "CLIP", "--backend", "foxglove", "--record", "/dev/null/bag"],
+            "cannot be written there",
+        ),
         (["live", "CLIP", "--frames", "0"], "frames = 0: it must be at least 1."),
         (["live", "CLIP", "--session", "/nowhere/s.toml"], "no file can be written to this path"),
         (["recover", "CLIP"], "does not begin as an MCAP file"),

@@ -228,6 +228,25 @@ def test_a_recording_without_a_frame_leaves_nothing(tmp_path, name):
     assert {file: file.read_bytes() for file in tmp_path.rglob("*") if file.is_file()} == before
 
 
+@pytest.mark.parametrize("name", ["bag", "one.mcap"])
+def test_interrupted_recording_keeps_the_older_one(tmp_path, name):
+    path, clip = tmp_path / name, random_clip()
+    older = record(path, random_clip(frames=2))
+    older = (path / "bag_0.mcap" if path.is_dir() else path).read_bytes()
+    names = sorted(file.name for file in tmp_path.rglob("*"))
+    with pytest.raises(KeyboardInterrupt), McapSink(path, overwrite=True):
+        raise KeyboardInterrupt
+    assert sorted(file.name for file in tmp_path.rglob("*")) == names
+    with pytest.raises(KeyboardInterrupt), McapSink(path, overwrite=True) as sink:
+        sink.write(clip.frame(0))
+        raise KeyboardInterrupt
+    (kept,) = tmp_path.rglob("*.mcap.old")
+    assert kept.read_bytes() == older
+    file = path / "bag_0.mcap" if path.is_dir() else path
+    with open(file, "rb") as stream:
+        assert make_reader(stream).get_summary().statistics.message_count == 2
+
+
 def test_a_recording_is_refused_before_the_object_is_made(tmp_path, monkeypatch):
     from bridge import source
     from bridge.commands import Record

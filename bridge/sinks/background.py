@@ -59,7 +59,8 @@ class Background:
         """Wait until everything is written; raise the sink's error if nothing else failed."""
         self._queue.put(None)
         self._thread.join()
-        self.sink.__exit__(kind, error, trace)
+        failed = error or self._error
+        self.sink.__exit__(kind or (type(failed) if failed else None), failed, trace)
         if self.dropped:
             log.warning("The recording lacks %d frames: the disk was too slow.", self.dropped)
         if self._error is not None and error is None:

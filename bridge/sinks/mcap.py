@@ -30,7 +30,9 @@ Compression = Literal["none", "lz4", "zstd"]
 CHUNK = 1 << 20
 """Size of a chunk [bytes]; a larger frame is stored in a separate chunk."""
 OLDER = ".old"
-"""Suffix that an existing recording in a bag folder has until the new recording is complete."""
+"""Suffix that an existing recording has until the new recording is complete. If an error or Ctrl-C
+ends the new recording, the suffix remains.
+"""
 log = logging.getLogger(__name__)
 
 
@@ -84,7 +86,8 @@ class McapSink:
             if self._single
             else bag.mcap_file(self.path)
         )
-        self._older = self.file.with_name(self.file.name + OLDER)
+        place = self.path if self._single else self.file
+        self._older = place.with_name(place.name + OLDER)
         self._metadata = self.path / bag.METADATA
         self._older_metadata = self.path / (bag.METADATA + OLDER)
         self._new_folder = False
@@ -130,11 +133,19 @@ class McapSink:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        """Complete the recording; after a disk error, leave the file unchanged."""
+        """Complete the recording; after a disk error, leave the file unchanged.
+
+        After any other error, the older recording is kept. If there is no frame, it gets its name
+        back, as if the recording had never started.
+        """
         if self._stream.closed:
             return
+        if kind is not None and not self.frames:
+            self._stream.close()
+            self._remove()
+            return
         try:
-            self._finish()
+            self._finish(replaces=kind is None)
         except OSError as error:
             failure = self._failure()
             if kind is None:
@@ -210,7 +221,8 @@ class McapSink:
         about = {name: json.dumps(part) for name, part in parts.items() if part}
         self._writer.add_metadata(bag.RECORD, {"options": options, **about})
 
-    def _finish(self) -> None:
+    def _finish(self, *, replaces: bool) -> None:
+        """Complete the file; `replaces` states whether the older recording is no longer needed."""
         self._writer.flush()
         bag.describe(self._writer, (self.path if self._single else self.file).name, self._counts)
         self._write_record(self._report())
@@ -219,11 +231,16 @@ class McapSink:
         os.fsync(self._stream.fileno())
         self._stream.close()
         if self._single:
+            if not replaces and self.path.is_file():
+                os.replace(self.path, self._older)
             move_to(self.file, self.path)
         else:
             bag.write_metadata(self.path, self.file.name, self._counts)
-            self._older.unlink(missing_ok=True)
-            self._older_metadata.unlink(missing_ok=True)
+            if replaces:
+                self._older.unlink(missing_ok=True)
+                self._older_metadata.unlink(missing_ok=True)
+        if not replaces and self._older.exists():
+            log.warning("The older recording is kept in %s.", self._older)
 
     def _failure(self) -> Incomplete:
         """A file without a frame is removed, and the older recording gets its name back."""
