@@ -41,6 +41,11 @@ ARM = wp.constant(wp.float64(2.0))
 """Upper bound of the distance between a Gaussian of plastic or fluid material and a particle that
 carries it, relative to their distance at rest.
 """
+SEPARATE = wp.constant(wp.float64(4.0))
+"""A Gaussian of plastic or fluid material follows only its nearest particle if the mean over all
+particles that carry it is at least this far away from the position that the nearest particle gives.
+The unit is the distance between the nearest and the farthest of these particles at rest.
+"""
 
 
 @wp.func
@@ -201,6 +206,10 @@ def make_carry(real: Any):
 
     x_g = sum w_i (x_i + F_i (X_g - X_i)), F_g = sum w_i F_i over the carrying particles i. In
     plastic or fluid material F grows without bound, so the length of F_i (X_g - X_i) is limited.
+
+    When such material mixes, the particles i separate, and the mean moves towards the middle of the
+    material. The Gaussian then follows its nearest particle instead. `alone_out` is 0 if the
+    Gaussian follows the mean, and 1 if it follows only its nearest particle.
     """
 
     @kernel(f"phy124_carry_{real.__name__}", real, seconds=0.4)
@@ -214,12 +223,15 @@ def make_carry(real: Any):
         deformation,
         means_out: wp.array(dtype=wp.vec3f),
         deformation_out: wp.array(dtype=wp.mat33d),
+        alone_out: wp.array(dtype=float),
     ):
         i = wp.tid()
         home = wp.vec3d(means0[i])
         x = wp.vec3d()
         f = wp.mat33d()
         total = wp.float64(0.0)
+        nearest = wp.vec3d()
+        across = wp.vec3d()
         for k in range(neighbours.shape[1]):
             j = neighbours[i, k]
             w = wp.float64(weights[i, k])
@@ -230,12 +242,25 @@ def make_carry(real: Any):
                 longest = ARM * wp.length(at_rest)
                 if wp.length(arm) > longest:
                     arm *= longest / wp.length(arm)
-            x += w * (wide(position[j]) + arm)
+            place = wide(position[j]) + arm
+            if k == 0:
+                nearest = place
+            across = wp.vec3d(rest[j]) - wp.vec3d(rest[neighbours[i, 0]])
+            x += w * place
             f += w * g
             total += w
         part = wp.float64(1.0) / total
-        means_out[i] = wp.vec3f(part * x)
+        x *= part
+        alone = wp.float64(0.0)
+        if flows[i]:
+            back = nearest - x
+            most = wp.max(SEPARATE * SEPARATE * wp.length_sq(across), TINY)
+            near = wp.max(wp.float64(1.0) - wp.length_sq(back) / most, wp.float64(0.0))
+            alone = wp.float64(1.0) - near * near
+            x += alone * back
+        means_out[i] = wp.vec3f(x)
         deformation_out[i] = part * f
+        alone_out[i] = wp.float32(alone)
 
     return carry
 

@@ -35,13 +35,19 @@ class Binding(NamedTuple):
     weights: NDArray[np.float32] | None
     """Weights that sum to 1 [N,K]; None if each Gaussian follows a single particle."""
 
-    def interpolate(self, values: NDArray[np.float64]) -> NDArray[np.float32]:
-        """Return weighted means [N,3] of values on the particles [P,3]."""
+    def interpolate(
+        self, values: NDArray[np.float64], alone: NDArray | float = 0.0
+    ) -> NDArray[np.float32]:
+        """Return weighted means [N,3] of values on the particles [P,3].
+
+        `alone` [N] is the part of the nearest particle that replaces the mean; default 0.
+        """
         if self.weights is None:
             return values[self.particles].astype(np.float32)
         out = np.zeros((len(self.weights), 3))
         for k in range(self.weights.shape[1]):
             out += self.weights[:, k, None] * values[self.particles[:, k]]
+        out += np.reshape(alone, (-1, 1)) * (values[self.particles[:, 0]] - out)
         return out.astype(np.float32)
 
     def select(self, chosen: NDArray) -> Binding:

@@ -34,7 +34,8 @@ class Deformer:
     particles of the lattice carry the Gaussian: `x_g = sum w_i (x_i + F_i (X_g - X_i))` and `F_g =
     sum w_i F_i`, with smooth weights w that sum to 1. The interpolation is exact for every affine
     motion. For fluid and granular materials, the interpolation is exact only while the vectors `F_i
-    (X_g - X_i)` are at most twice as long as at rest.
+    (X_g - X_i)` are at most twice as long as at rest. If such material mixes and the particles
+    separate, the Gaussian follows only the nearest of them.
     """
 
     def __init__(
@@ -159,12 +160,13 @@ class Deformer:
         real = _precision(F)
         lattice = self.binding.weights is not None
         carry = carry_of(real, lattice=lattice)
+        alone = [wp.empty(n, dtype=float, device=device)] if lattice else []
         # Particles keep their precision; the kernel converts the values that it reads.
         shared = [self._rest, x, F] if lattice else [x, F]
         shapes, each = shapes_of(device)
         rest = [self._quats0, self._scales0, *self._limits, self._quats]
         steps = [
-            Step(carry, self._carried, shared, [means, DEFORMATION]),
+            Step(carry, self._carried, shared, [means, DEFORMATION, *alone]),
             Step(shapes, rest, [DEFORMATION], [self._inner, quats, scales], each),
         ]
         if self.gaussians.sh_degree:
@@ -183,7 +185,7 @@ class Deformer:
             self._refuse_other_shape(velocities.shape, (3,))
             broken = int((~np.isfinite(velocities).all(axis=1)).sum())
             self._refuse_broken(broken)
-            velocities = self.binding.interpolate(velocities)
+            velocities = self.binding.interpolate(velocities, *map(host, alone))
         return Frame(index, time, frame, velocities)
 
     @cached_property
