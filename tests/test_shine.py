@@ -201,12 +201,17 @@ def test_a_film_of_particles_in_rows_has_no_stripes():
     assert depth.std() < 0.12 * depth.mean()
 
 
-def test_a_film_of_scattered_particles_has_no_blotches():
+@pytest.mark.parametrize("pieces", [1, 30])
+def test_a_film_of_scattered_particles_has_no_blotches(pieces):
+    """Every fourth particle consists of several Gaussians, like those on the object's surface."""
     step, rng = np.arange(CELL / 2, 1.5, CELL), np.random.default_rng(1)
     x = np.stack(np.meshgrid(step, step, step[:3], indexing="ij"), axis=-1).reshape(-1, 3)
     x[:, :2] += rng.uniform(-1, 1, (len(x), 2)) * CELL
+    counts = np.where(rng.random(len(x)) < 0.25, pieces, 1)
+    x, volumes = np.repeat(x, counts, axis=0), np.repeat(CELL**3 / counts, counts)
     floor = Planes(np.array([[0, 0, 1.0]]), np.zeros(1))
-    drawn = Liquid(x, 2 * CELL, 0.5, floor).shape(still(x), floor)
+    drawn = Liquid(x, 2 * CELL, 0.5, floor, volumes).shape(still(x), floor)
+    drawn = drawn._replace(opacities=drawn.opacities - MIN_ALPHA)
     along = np.linspace(0.4, 1.1, 30)
     depth = depths(drawn, np.stack(np.meshgrid(along, along), axis=-1).reshape(-1, 2))
     assert depth.std() < 0.09 * depth.mean()

@@ -5,8 +5,8 @@ smoothed over `BLUR` cells. The liquid's surface is where phi = `LEVEL`. Gaussia
 move onto it and become discs; Gaussians deep inside are not drawn; Gaussians in thin spray become
 balls. Near flat walls, phi is the filled fraction of the space in front of the walls. The opacity
 of a disc follows from the thickness of the liquid behind the disc (Beer-Lambert): each face of a
-layer has half of the layer's optical depth, divided by the number of overlapping discs. Fast liquid
-in the air that is thinner than at rest becomes white foam.
+layer has half of the layer's optical depth, which overlapping discs share in proportion to their
+volumes. Fast liquid in the air that is thinner than at rest becomes white foam.
 """
 
 from typing import Any, NamedTuple
@@ -238,11 +238,12 @@ class Liquid:
         slopes = field.slopes(phi)
         calm = field.slopes(field.blur(field.blur(phi))) if self._calm else slopes
         fields = [phi, filled, slopes, calm, field.spread(phi), field.lengths(filled)]
-        inputs = [walls, per_cell, x, self._volumes, self._spread, speeds, *fields]
+        largest = float(self._volumes.max())
+        inputs = [walls, per_cell, x, self._volumes, largest, self._spread, speeds, *fields]
         field.launch(discs.find_surface, n, inputs, [shapes, *sums])
         rgb = np.clip(0.5 + SH_C0 * part.sh[:, 0], 0, 1)
         drawn = Surface(*(np.empty((n, k) if k > 1 else n, np.float32) for k in WIDTHS))
-        inputs = [per_cell, x, self._volumes, self._rows, rgb, shapes]
+        inputs = [per_cell, x, self._volumes, largest, self._rows, rgb, shapes]
         inputs += [field.blur(values, FINE) for values in sums]
         field.launch(discs.shape_gaussians, n, inputs, [*drawn])
         return drawn

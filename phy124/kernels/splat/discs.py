@@ -214,6 +214,7 @@ def find_surface(
     per_cell: float,  # optical depth of a cell of liquid
     means: wp.array(dtype=wp.vec3),  # m
     volumes: wp.array(dtype=float),  # m^3
+    largest: float,  # largest volume [m^3]
     rest: wp.array(dtype=float),  # spread at rest
     speeds: wp.array(dtype=float),  # m/s
     phi: wp.array(dtype=float),  # filled fraction of the space in front of walls
@@ -223,7 +224,7 @@ def find_surface(
     spreads: wp.array(dtype=float),  # factor by which smoothing lowers phi
     lengths: wp.array(dtype=wp.vec3),
     shapes_out: wp.array(dtype=Shape),
-    # sums over the discs in each cell: number of discs, and optical depth
+    # sums over the discs in each cell: volume relative to `largest`, and optical depth
     counts_out: wp.array(dtype=float),
     depths_out: wp.array(dtype=float),
 ):
@@ -304,8 +305,9 @@ def find_surface(
         # A cell behind a wall is empty, although Gaussians may have sunk into it.
         before = nearest(cells, at + wp.max(0.5 - gap, 0.0) * facing)
         depth = thickness(lengths[before], outwards) * per_cell / (1.0 + lower)
-        distribute(cells, at + move * outwards, fade, counts_out)
-        distribute(cells, at + move * outwards, fade * wp.min(depth, OPAQUE), depths_out)
+        weight = fade * volumes[n] / largest
+        distribute(cells, at + move * outwards, weight, counts_out)
+        distribute(cells, at + move * outwards, weight * wp.min(depth, OPAQUE), depths_out)
     shapes_out[n] = shape
 
 
@@ -348,10 +350,11 @@ def shape_gaussians(
     per_cell: float,  # optical depth of a cell of liquid
     means: wp.array(dtype=wp.vec3),  # m
     volumes: wp.array(dtype=float),  # m^3
+    largest: float,  # largest volume [m^3]
     rows: wp.array3d(dtype=int),  # neighbours at rest
     rgb: wp.array(dtype=wp.vec3),
     shapes: wp.array(dtype=Shape),
-    counts: wp.array(dtype=float),  # smoothed number of discs
+    counts: wp.array(dtype=float),  # smoothed volume of discs, relative to `largest`
     depths: wp.array(dtype=float),  # smoothed optical depth of discs
     means_out: wp.array(dtype=wp.vec3),
     quats_out: wp.array(dtype=wp.vec4),
@@ -382,7 +385,7 @@ def shape_gaussians(
         # stripes.
         depth = interpolate(cells, depths, below) + interpolate(cells, depths, above)
         depth /= wp.max(around, 1.0e-6)
-        overlapping = wp.max(2.0 * wp.pi * radius * radius * layer, 0.5)
+        overlapping = wp.max(2.0 * wp.pi * radius * radius * layer, 0.5) * largest / volumes[n]
         opacity = 1.0 - wp.exp(-wp.max(depth, LEAST_DEPTH) / overlapping)
         # Drawing omits alphas below MIN_ALPHA, as if opacities were lower by MIN_ALPHA.
         opacity = wp.min(shape.fade * wp.max(opacity, MILKY * shape.foam) + MIN_ALPHA, 1.0)
