@@ -49,8 +49,8 @@ PANELS = {
         + _load("viewer/shine.js", "viewer/player.js", "viewer/player.css"),
         "",
     ),
-    # The live run; the value is the ID of a live run or an error message. "begin" requests a live
-    # run, and "save" requests a clip of the live run.
+    # The live run; the value is the ID of a live run, an error message, or the reason why no clip
+    # is made of the live run. "begin" requests a live run, and "save" requests a clip.
     "touch": (
         HEAD + _load("static/lattice.js", "static/glass.js", "static/splats.js", "static/touch.js"),
         "begin save",

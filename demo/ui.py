@@ -79,7 +79,8 @@ def build(studio: Studio) -> gr.Blocks:
         _wire_forecast(studio, asked, cut, forecast)
         for again in (grab.click, touch.begin):
             again(handlers.on_touch(studio), asked, touch, **QUIET)
-        touch.save(handlers.on_save(studio), [source, extras], [progress, go, cancel], **QUIET)
+        saved = [progress, go, cancel, touch]
+        touch.save(handlers.on_save(studio), [source, extras], saved, **QUIET)
         shows = _wire_run(studio, asked, done, go, cancel, progress, forecast, results)
         queued = {"concurrency_id": "export", "concurrency_limit": 2, "trigger_mode": "multiple"}
         takeaway.prepare(

@@ -359,6 +359,18 @@ def test_a_saved_session_is_a_scene_no_longer_than_a_run_may_be(player):
     assert run.live.count == 1
 
 
+def test_a_session_that_cannot_be_saved_does_not_pause_the_run(player, monkeypatch):
+    run, line = player
+
+    def fail():
+        raise InputError("session", "none", "It cannot be saved.", "Reset it.")
+
+    monkeypatch.setattr(run.live, "session", fail)
+    line.orders, count = ['{"do": "save"}'], run.live.count
+    run.frame()
+    assert b"cannot be saved" in line.sent[-2][1] and run.live.count == count + 1
+
+
 def test_session_may_be_longer_than_a_run():
     page = Settings()
     assert limits_of(page, 100_000).max_frames == 277, "half of 1000 MB at 1.8 MB per frame"

@@ -214,20 +214,23 @@ def on_touch(studio: Studio) -> Handler:
 
 
 def on_save(studio: Studio) -> Handler:
-    """Handle the button "save" of the touch panel: start a run that repeats the live session."""
+    """Handle the button "save" of the touch panel: start a run that repeats the live session.
+
+    The touch panel hides the progress panel, so it shows the reason of a refusal itself.
+    """
 
     def save(source: Any, extras: Any, request: gr.Request) -> tuple[Any, ...]:
         name = visitor_of(request)
         ticket = studio.touches.ticket_of(name)
         if ticket is None or ticket.session is None:
-            return Progress(state="refused", message=FORGOTTEN).data(), *idle_buttons()
+            return gr.skip(), *idle_buttons(), {"refused": FORGOTTEN}
         objects = 1 + len(ticket.session.get("objects", []))
         limits = limits_of(studio.settings, objects * studio.count(source))
         try:
             job = studio.run(Choice(name, source, ticket.session, extras), limits)
         except InputError as error:
-            return Progress(state="refused", message=user_message(error)).data(), *idle_buttons()
+            return gr.skip(), *idle_buttons(), {"refused": user_message(error)}
         studio.touches.leave(name)
-        return follow_job(job), *busy_buttons()
+        return follow_job(job), *busy_buttons(), gr.skip()
 
     return save

@@ -15,7 +15,8 @@
   function touch(element, props, watch, trigger) {
     let hand = null;
     const show = () => {
-      const { ticket, message } = props.value || {};
+      const { ticket, refused, message = refused } = props.value || {};
+      if (refused && hand && !hand.gone) { hand.resume(refused); return; }
       hand?.leave();
       hand = null;
       element.replaceChildren();
@@ -108,6 +109,13 @@
       announce(text);
       // The server stores the session while the run lasts, and ends the run when the session is saved.
       if (kind === 'saved') { this.saved = true; this.trigger('save'); }
+    }
+
+    /** Continue the run, which pauses while it is saved, and show the reason why it was not saved. */
+    resume(text) {
+      this.say({ do: 'pause', value: false });
+      this.status.textContent = text;
+      announce(text);
     }
 
     show() {

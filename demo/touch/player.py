@@ -134,8 +134,8 @@ class Player:
         self._pause(False)
 
     def _save(self, _: Any) -> None:
-        self._paused = True
         scene = self.live.session()
+        self._paused = True
         kept = shorten_session(scene, self._what.most)
         seconds = kept.time.frames / FPS
         whole = "" if kept is scene else f" (the first part of {scene.time.frames / FPS:.1f} s)"

@@ -91,6 +91,18 @@ def test_keys_move_the_object_and_what_was_done_becomes_a_clip(visit):
     assert not visit.complaints
 
 
+def test_a_refused_clip_is_explained_and_the_run_goes_on(visit, server):
+    page, cutouts = visit.page, server.folder.glob("visitors/*/cutouts/*.png")
+    max(cutouts, key=lambda path: path.stat().st_mtime).unlink()
+    for _ in range(2):
+        page.locator(".touch-status").evaluate("(e) => e.replaceChildren()")
+        page.get_by_role("button", name="Save as clip").click()
+        page.locator(".touch-status", has_text="no longer has your picture").wait_for()
+        shown = page.evaluate(f"{HAND}.head.index")
+        page.wait_for_function(f"{HAND}.head.index > {shown} + 5")
+    assert not visit.complaints
+
+
 @pytest.mark.slow
 def test_resting_object_is_drawn_once_with_all_gaussians(visit):
     page = visit.page
