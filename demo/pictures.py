@@ -135,8 +135,25 @@ def cut_once(
         return first, doubts, cut_by(first) != title_of("alpha")
     path = cutout_file(visitor, upload, *place, [stroke.model_dump() for stroke in strokes])
     if not path.exists():
-        correct_cutout(upload, first if first.exists() else None, strokes, path, deadline)
+        basis = _find_basis(upload, first, pick, deadline)
+        correct_cutout(upload, basis, strokes, path, deadline)
     return path, (), False
+
+
+def _find_basis(upload: Path, first: Path, pick: Point | None, deadline: Deadline) -> Path | None:
+    """Return the cut-out that strokes correct; None if the picture shows no object.
+
+    The cut-out may have been removed in the meantime. Its use keeps it among the newest.
+    """
+    if not first.exists():
+        try:
+            cut_out(upload, first, pick, deadline)
+        except InputError as error:
+            if error.field not in REMEDIES:
+                raise
+            return None
+    first.touch()
+    return first
 
 
 def correct_cutout(

@@ -15,6 +15,7 @@ from PIL import Image
 from demo.jobs import Studio
 from demo.line import Job, user_message
 from demo.pictures import MISSING, Stroke, how_cut, read_place
+from demo.room import Room
 from demo.settings import Settings
 from demo.source import Choice, Cutout
 from demo.visitors import UNFINISHED, Visitors
@@ -281,6 +282,29 @@ def test_click_picks_an_object_that_the_brush_corrects(studio, tmp_path, monkeyp
     assert paint[40, 70] and paint[9, 81] and not paint[20, 20]
     assert third.by == "brush strokes" and third.pick == place
     assert len({first.path, second.path, third.path}) == 3
+
+
+def test_corrections_keep_the_cutout_that_they_correct(tmp_path):
+    room = Room(clips=1)
+    studio = Studio(Settings(), Visitors(tmp_path, room))
+    first = _cut(studio, "a")
+    assert first.wait(60)
+    visitor, path = studio.visitors.get("a"), Path(first.progress.result.path)
+
+    def coverage(number: int) -> float:
+        stroke = Stroke(keep=False, width=0.02, points=((0.5, 0.1 * number),))
+        job = studio.cut_out("a", first.subject, (stroke,))
+        assert job.wait(60) and job.progress.result, job.progress.message
+        return np.mean(np.asarray(Image.open(job.progress.result.path))[..., 3] > 127)
+
+    whole = coverage(1)
+    assert whole > 0.3
+    for number in range(2, 6):
+        assert coverage(number) == pytest.approx(whole, abs=0.01)
+        visitor.trim(room)
+    assert path.exists()
+    path.unlink()
+    assert coverage(6) == pytest.approx(whole, abs=0.01)
 
 
 @pytest.mark.parametrize("place", [[0.3], [0.3, 1.5], "middle", [float("nan"), 0.5], {"x": 1}])
