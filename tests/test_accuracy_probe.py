@@ -4,8 +4,9 @@ import pytest
 import warp as wp
 from warp._src.context import Module
 
-from phy124.accuracy.probe import probe, seconds_to_compile
+from phy124.accuracy.probe import probe, seconds_to_compile, time_film
 from phy124.runtime.compiling import is_compiled
+from phy124.runtime.context import RunContext
 from phy124.runtime.kernel_cache import compiled_file
 from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
@@ -118,3 +119,12 @@ def test_a_liquid_at_rest_is_probed(monkeypatch, viscosity):
     monkeypatch.setattr(run.solver, "advance", soon)
     cost, nodes, _ = probe(run)
     assert cost.particle > 0 and nodes > 0
+
+
+@pytest.mark.parametrize(
+    ("view", "stages"),
+    [({"formats": ["ply"]}, {"export"}), ({"formats": [], "outputs": ["depth"]}, {"outputs"})],
+)
+def test_forecast_without_videos_has_no_encoding(view, stages):
+    scene = Scene.named("drop").replaced({"view": {"size": 32, **view}, "time.frames": 2})
+    assert set(time_film(ball(50), scene, RunContext())) == {"save", "render", *stages}

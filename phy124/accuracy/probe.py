@@ -228,17 +228,16 @@ def time_film(gaussians: Gaussians, scene: Scene, context: RunContext) -> dict[s
         clip = _make_moving_clip(gaussians, scene, more)
         saving = measure_time(lambda: clip.save(Path(folder) / "clip.safetensors")) * frames / more
     shortest = {n: min(seconds[n], key=lambda s: sum(s.values())) for n in FILMED}
-    each = max(shortest[more]["encode"] - shortest[few]["encode"], 0.0) / (more - few)
-    first = max(shortest[few]["encode"] - each * few, 0.0)
-    predicted = {
-        "save": saving,
-        "render": views * frames * shortest[more]["render"] / more,
-        "encode": views * (first + each * frames),
-    }
+    predicted = {"save": saving, "render": views * frames * shortest[more]["render"] / more}
+    if "encode" in shortest[more]:
+        each = max(shortest[more]["encode"] - shortest[few]["encode"], 0.0) / (more - few)
+        first = max(shortest[few]["encode"] - each * few, 0.0)
+        predicted["encode"] = views * (first + each * frames)
     if "outputs" in shortest[more]:
         predicted["outputs"] = views * frames * shortest[more]["outputs"] / more
-    exporting = shortest[more].get("export")
-    return predicted if exporting is None else predicted | {"export": exporting * frames / more}
+    if "export" in shortest[more]:
+        predicted["export"] = frames * shortest[more]["export"] / more
+    return predicted
 
 
 def seconds_to_compile(scene: Scene, device: str = "cpu") -> float:
