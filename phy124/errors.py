@@ -53,6 +53,10 @@ class InputError(ValueError):
         return type(self), (self.field, self.value, self.limit, self.remedy, self.remedies)
 
 
+class TooFine(InputError):
+    """The grid is too fine for the time budget, the memory, or the precision of positions."""
+
+
 class Cancelled(Exception):
     """Raised by a progress callback to stop the work."""
 

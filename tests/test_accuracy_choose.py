@@ -13,13 +13,13 @@ from phy124.accuracy.convergence import distances
 from phy124.accuracy.forecast import Forecaster
 from phy124.accuracy.goal import UNIT
 from phy124.accuracy.promises import promise
-from phy124.errors import InputError
+from phy124.errors import InputError, TooFine
 from phy124.monitor.tearing import Tearing
 from phy124.particles.thickness import Proportions
 from phy124.pipeline import disk_space, simulate
 from phy124.runtime.context import RunContext
 from phy124.scene import Scene
-from phy124.simulation import Simulation, prepare
+from phy124.simulation import Simulation, Stopped, prepare
 from support.shapes import ball
 
 pytestmark = pytest.mark.usefixtures("coarse_solids")
@@ -151,6 +151,34 @@ def test_a_grid_that_tears_the_object_is_not_taken(quick, monkeypatch):
     assert f"on D/{about['torn'][0]}" in about["why_not"]
 
 
+def test_a_grid_on_which_the_run_stops_is_not_taken(quick, monkeypatch):
+    advance = Simulation._take_frame
+
+    def stop_on_fine_grids(run):
+        if run.scene.resolution.cells > 12 and run.count == 3:
+            raise Stopped("frame 3 took too long.")
+        return advance(run)
+
+    monkeypatch.setattr(Simulation, "_take_frame", stop_on_fine_grids)
+    about = run_for_goal(Goal.error("0.2%"), ball(300), quick).about
+    assert about["levels"] == [6, 8, 12] and about["cells"] == 12 and not about["met"]
+    assert about["why_not"] == "on D/16 the simulation stops early: frame 3 took too long"
+
+
+@pytest.mark.parametrize(
+    ("wall", "region", "cells"), [(0.2, 0.5, 10), (0.4, 0.04, 20), (0.4, 0.5, 6)]
+)
+def test_first_grids_resolve_thin_walls_and_regions(quick, wall, region, cells):
+    """A solid must be two cells thick, and a region must contain a particle."""
+    box = {"kind": "box", "lower": [-1.0, -1.0, 0.0], "upper": [1.0, 1.0, wall]}
+    centre = np.array([0.0, 0.0, 0.5 + wall])
+    within = {"lower": (centre - region).tolist(), "upper": (centre + region).tolist()}
+    push = {"kind": "acceleration", "a": [0.0, 1.0, 0.0], "region": within}
+    changes = {"boundaries": [box], "forces": [push], "object.lift": wall, "accuracy.cells": 20}
+    about = run_for_goal(Goal.error("50%"), ball(300), quick.replaced(changes)).about
+    assert about["cells"] == about["levels"][0] == cells
+
+
 def test_a_goal_out_of_reach_is_refused_with_what_is_in_reach(quick):
     with pytest.raises(
         InputError,
@@ -224,6 +252,25 @@ def test_a_time_goal_takes_the_finest_grid_that_fits(monkeypatch, seconds, cells
     assert reached.about["cells"] == cells
     assert reached.about["predicted"] <= seconds
     assert len(built) <= 6
+
+
+@pytest.mark.parametrize(("limits", "cells"), [((8, 40), 40), ((8, 14), 14), ((20, 40), 40)])
+def test_a_time_goal_avoids_grids_that_are_refused(monkeypatch, limits, cells):
+    """The search begins at 16 cells, and would take 128 cells."""
+
+    def prepare(gaussians, scene, context, **options):
+        n = scene.resolution.cells
+        if not limits[0] <= n <= limits[1]:
+            refusal = InputError if n < limits[0] else TooFine
+            raise refusal("accuracy.cells", n, "it is refused.", "Choose another grid.")
+        return set_up(gaussians, scene, context)
+
+    monkeypatch.setattr(choose, "prepare", prepare)
+    monkeypatch.setattr(choose, "Simulation", lambda setup: SimpleNamespace(scene=setup.scene))
+    assert reach_in(Goal.time(3600)) == cells
+    with pytest.raises(InputError, match="it is refused"):
+        limits = (200, 300)
+        reach_in(Goal.time(3600))
 
 
 @pytest.mark.parametrize("goal", [Goal.error("50%"), Goal.time(1000)])

@@ -8,8 +8,9 @@ material tears on a grid, the grid is repeated with one more particle per cell a
 For a maximum time, the scene is run on the finest grid whose predicted time is within the maximum.
 """
 
+import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
@@ -29,8 +30,9 @@ from phy124.accuracy.convergence import (
 from phy124.accuracy.difference import pixel_distance
 from phy124.accuracy.forecast import Forecast, Forecaster
 from phy124.accuracy.goal import MARGIN, UNIT, Goal, explain_time, format_error
+from phy124.accuracy.probe import min_cells
 from phy124.budget.limits import duration
-from phy124.errors import InputError
+from phy124.errors import InputError, TooFine
 from phy124.gaussians import Frame, Gaussians
 from phy124.imaging.painted import WHOLE, Crop
 from phy124.io.clip import Clip
@@ -173,9 +175,9 @@ class _Runs:
                 self._make(cells)
 
     @property
-    def complete(self) -> bool:
-        """Whether all runs reached their last frame."""
-        return all(clip.report["complete"] for _, clip in self.done.values())
+    def stopped(self) -> list[int]:
+        """Grids on which the run stopped before its last frame; estimates ignore such grids."""
+        return sorted(n for n, (_, clip) in self.done.items() if not clip.report["complete"])
 
     @property
     def torn(self) -> list[int]:
@@ -185,14 +187,15 @@ class _Runs:
 
     @property
     def whole(self) -> list[int]:
-        """Numbers of cells across the object on the grids on which the material did not tear."""
-        return sorted(set(self.done) - set(self.torn))
+        """Numbers of cells across the object on the grids on which the run was completed, and the
+        material did not tear.
+        """
+        return sorted(set(self.done) - set(self.torn) - set(self.stopped))
 
 
 def _meet_error(goal: Goal, runs: _Runs) -> Reached:
-    for level in FIRST:
-        runs.clip(level)
-    if not runs.complete:
+    _run_first_grids(runs)
+    if runs.stopped:
         raise _unreachable(goal, "on a coarse grid the simulation stops early")
     if runs.torn:
         raise _unreachable(goal, _why_torn(runs))
@@ -205,6 +208,21 @@ def _meet_error(goal: Goal, runs: _Runs) -> Reached:
     cells, best, met = _choose_run(result, runs, goal)
     simulation, clip = runs.done[cells]
     return Reached(simulation, clip, _report(goal, cells, best, met, result, runs, obstacle))
+
+
+def _run_first_grids(runs: _Runs) -> None:
+    """Run the scene on the grids `FIRST`, or on finer grids if the scene needs them."""
+    coarsest = max(FIRST[0], min_cells(runs.scene))
+    try:
+        runs.clip(coarsest)
+    except TooFine:
+        raise
+    except InputError:
+        if runs.scene.resolution.cells <= coarsest:
+            raise
+        coarsest = runs.scene.resolution.cells
+    for cells in FIRST:
+        runs.clip(math.ceil(cells * coarsest / FIRST[0]))
 
 
 def _refine(goal: Goal, runs: _Runs, result: Convergence) -> str:
@@ -223,7 +241,8 @@ def _refine(goal: Goal, runs: _Runs, result: Convergence) -> str:
         runs.clip(cells)
     except InputError as refusal:
         return f"this needs the grid D/{cells}, for which {refusal.limit.rstrip('.')}"
-    return ""
+    why = runs.clip(cells).report["stopped"]
+    return f"on D/{cells} the simulation stops early: {why.rstrip('.')}" if why else ""
 
 
 def _guess(goal: Goal, runs: _Runs, result: Convergence) -> tuple[float, float]:
@@ -388,28 +407,51 @@ def _find_finest(goal: Goal, runs: _Runs, forecaster: Forecaster, elapsed: float
     watch = runs.context.watch
     available, start, compiled = MARGIN * goal.value - elapsed, watch.total, _sum_compilation(runs)
     tried: dict[int, tuple[Simulation, Forecast]] = {}
-    best, cells = 0, START
+    least = min_cells(runs.scene)
+    grids = [n for n in CELLS if n >= least] or [least]
+    best, cells, preparing = 0, max(START, grids[0]), 0.0
     while cells:
         prepared = _sum_preparation(runs)
-        simulation = runs.simulation(cells)
-        preparing = _sum_preparation(runs) - prepared
-        forecast = forecaster.of(simulation)
-        tried[cells] = simulation, forecast
-        left = available - (watch.total - start)
+        try:
+            simulation = runs.simulation(cells)
+        except InputError as refusal:
+            grids = _drop_refused(cells, refusal, grids, tried, runs.scene)
+            if not grids:
+                raise
+            if not tried:
+                cells = max((n for n in grids if n < cells), default=grids[0])
+                continue
+        else:
+            preparing = _sum_preparation(runs) - prepared
+            tried[cells] = simulation, forecaster.of(simulation)
+        last = next(reversed(tried))
+        forecast, left = tried[last][1], available - (watch.total - start)
         if forecast.seconds <= left:
-            best = max(best, cells)
+            best = max(best, last)
         kept = tried[best][1].seconds if best else 0.0
-        finer = [n for n in CELLS if n > best and n not in tried]
-        wanted = (
-            [n for n in finer if n > cells] if cells == best else [n for n in finer if n < cells]
-        )
-        cells = _choose_next(cells, wanted, preparing, forecast, left, kept)
+        finer = [n for n in grids if n > best and n not in tried]
+        wanted = [n for n in finer if n > last] if last == best else [n for n in finer if n < last]
+        cells = _choose_next(last, wanted, preparing, forecast, left, kept)
     if not best:
         coarsest = min(tried)
         # If the user repeats the command, the kernels are already compiled.
         ready = elapsed + watch.total - start - (_sum_compilation(runs) - compiled)
         raise explain_time(goal, runs.scene, coarsest, tried[coarsest][1], ready)
     return _Fit(best, *tried[best], sorted(tried))
+
+
+def _drop_refused(
+    cells: int, refusal: InputError, grids: list[int], tried: Collection[int], scene: Scene
+) -> list[int]:
+    """Return the grids that may be possible although the grid with this number of cells is refused.
+
+    These are coarser grids if it is too fine, or else finer grids. If no grid was possible so far,
+    they begin with the scene's own grid.
+    """
+    if isinstance(refusal, TooFine) or any(n < cells for n in tried):
+        return [n for n in grids if n < cells]
+    least = cells + 1 if tried else scene.resolution.cells
+    return [n for n in grids if n >= least > cells]
 
 
 def _sum_compilation(runs: _Runs) -> float:

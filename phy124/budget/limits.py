@@ -15,7 +15,7 @@ from phy124.budget.cost import (
     rest_substeps,
 )
 from phy124.budget.remedies import change_accuracy, change_field, join_alternatives
-from phy124.errors import InputError, Remedy
+from phy124.errors import InputError, Remedy, TooFine
 from phy124.gaussians import Gaussians
 from phy124.materials import AnyMaterial
 from phy124.particles import Particles
@@ -50,9 +50,8 @@ def check_limits(
         keep: Whether all frames stay in memory.
 
     Raises:
-        InputError: The run would exceed its time budget or the free memory. The error is also
-            raised if an object is so far from the origin that float32 cannot resolve positions
-            within a cell.
+        TooFine: The run would exceed its time budget or the free memory, or an object is so far
+            from the origin that float32 cannot resolve positions within a cell.
     """
     _check_distance(scene)
     need = estimate(gaussians, particles, scene, device, keep=keep)
@@ -65,7 +64,7 @@ def check_limits(
 
         fitting = _find_remedies(scene, need.seconds / budget, fits)
         words = join_alternatives([remedy.words for remedy in fitting]) if fitting else ""
-        raise InputError(
+        raise TooFine(
             "time.budget",
             f"{budget:g} s",
             f"the run is estimated to take {duration(need.seconds)} "
@@ -82,7 +81,7 @@ def check_limits(
 def _check_memory(need: Estimate, scene: Scene, device: str) -> None:
     on_device = math.inf if device == "cpu" else free_memory(device)
     if need.state > MEMORY_FRACTION * on_device:
-        raise InputError(
+        raise TooFine(
             "device",
             device,
             f"the run is estimated to need {need.state / 1e9:.1f} GB of its memory, and "
@@ -91,7 +90,7 @@ def _check_memory(need: Estimate, scene: Scene, device: str) -> None:
         )
     free = free_memory()
     if need.memory > MEMORY_FRACTION * free:
-        raise InputError(
+        raise TooFine(
             "accuracy.cells",
             scene.resolution.cells,
             f"the run is estimated to need {need.memory / 1e9:.1f} GB of memory, and "
@@ -104,7 +103,7 @@ def _check_distance(scene: Scene) -> None:
     """Refuse objects so far away that float32 does not resolve a hundredth of a cell."""
     lift, most = scene.object.lift, _round(FARTHEST_CELLS * scene.dx)
     if lift > most:
-        raise InputError(
+        raise TooFine(
             "object.lift",
             f"{lift:g} m",
             "Gaussian positions are float32. At this height, their resolution is "
@@ -117,7 +116,7 @@ def _check_distance(scene: Scene) -> None:
         if farthest > most:
             limit = f"at this distance float32 does not resolve a cell of {scene.dx:.2g} m."
             remedy = f"Use at most {most:g} m."
-            raise InputError(f"place or lift of {body.name}", f"{farthest:g} m", limit, remedy)
+            raise TooFine(f"place or lift of {body.name}", f"{farthest:g} m", limit, remedy)
 
 
 def _find_remedies(

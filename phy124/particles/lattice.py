@@ -16,7 +16,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from phy124.errors import InputError
+from phy124.errors import TooFine
 from phy124.particles.pieces import find_copies, find_pieces
 from phy124.particles.seeding import MAX_PARTICLES, Particles
 from phy124.particles.solid import MEMORY, Solid
@@ -61,11 +61,11 @@ def lattice_of(solid: Solid, *, density: float, dx: float) -> Particles:
         dx: Side of a cell [m].
 
     Raises:
-        InputError: The solid needs more than `MAX_PARTICLES` points.
+        TooFine: The solid needs more than `MAX_PARTICLES` points.
     """
     if solid.volume / dx**3 * PER_CELL > MAX_PARTICLES:
         limit = f"the object would need more than {MAX_PARTICLES:,} integration points."
-        raise InputError("accuracy.cells", f"{dx:.3g} m per cell", limit, "Choose fewer cells.")
+        raise TooFine("accuracy.cells", f"{dx:.3g} m per cell", limit, "Choose fewer cells.")
     points = _lattice_of(solid, dx)
     return replace(points, density=np.full(len(points), float(density)))
 

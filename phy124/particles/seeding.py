@@ -13,7 +13,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from phy124.errors import InputError
+from phy124.errors import InputError, TooFine
 from phy124.gaussians import Gaussians, Particles
 from phy124.particles.solid import Solid, find_interior, find_solid
 
@@ -48,8 +48,8 @@ def make_particles(
         material: Material index of all particles.
 
     Raises:
-        InputError: If a number is not positive, if the binding is unknown, or if the object could
-            need more than `MAX_PARTICLES` particles.
+        InputError: If a number is not positive, or if the binding is unknown.
+        TooFine: If the object could need more than `MAX_PARTICLES` particles.
     """
     _check(density, spacing, binding)
     shape = (interior or find_interior(gaussians)).resample(spacing)
@@ -100,7 +100,7 @@ def _check(density: float, spacing: float, binding: str) -> None:
 def _lattice(shape: Solid, room: _Room, spacing: float) -> NDArray[np.float64]:
     cells, n = room.cells, round(room.side / spacing)
     if len(cells) * n**3 > MAX_PARTICLES:
-        raise InputError(
+        raise TooFine(
             "spacing",
             f"{spacing:.3g} m",
             f"the object would take up to {len(cells) * n**3:.3g} particles; "
