@@ -6,9 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import phy124
 from phy124.__main__ import main
+from phy124.camera import Camera
 from phy124.io.flaws import hide_flaws
 from phy124.io.formats import read_gaussians, written_formats
+from phy124.scene import View
 from support.clips import flight
 
 BAD = 7
@@ -39,6 +42,17 @@ def test_every_format_hides_a_gaussian_that_is_not_finite(tmp_path, capsys, name
             read = read_gaussians(out).gaussians
             assert len(read) == 300, to
             assert np.flatnonzero(read.opacities < 0.01).tolist() == [BAD], to
+
+
+def test_functions_hide_a_gaussian_that_is_not_finite(tmp_path):
+    clip = flawed("means", np.nan)
+    phy124.write_gaussians(tmp_path / "a.spz", clip.frame(1).gaussians)
+    assert read_gaussians(tmp_path / "a.spz").gaussians.opacities[BAD] < 0.01
+    phy124.write_html(tmp_path / "a.html", clip, Camera.orbit(0, 10, 4, 64))
+    view = View(formats=("html", "ply", "usd") if written_formats()["usd"].installed else ("ply",))
+    phy124.film(clip, view, tmp_path)
+    for name in ("frame_0001.ply", "frame_0002.ply"):
+        assert read_gaussians(tmp_path / "clip-ply" / name).gaussians.opacities[BAD] < 0.01
 
 
 def test_a_clip_without_finite_gaussians_is_refused(tmp_path, capsys):

@@ -39,6 +39,7 @@ from phy124.errors import InputError
 from phy124.gaussians import SH_C0
 from phy124.io.clip import Clip
 from phy124.io.files import replacing
+from phy124.io.flaws import hide_flaws
 from phy124.io.formats import lattice4d
 from phy124.io.formats.lattice4d import LOOSE, measure, measure_speeds
 
@@ -158,7 +159,8 @@ def write_html(
         viewer: Folder that contains the player's scripts.
 
     Raises:
-        InputError: If the clip is empty, the player is not installed or the file cannot be written.
+        InputError: If the clip is empty or has no finite Gaussians, the player is not installed, or
+            the file cannot be written.
     """
     names = (*SCRIPTS, READER, STYLE, LICENCE)
     parts = {name: _asset(viewer / name) for name in names}
@@ -171,7 +173,8 @@ def write_html(
         "scripts": base64.b64encode(gzip.compress(scripts.encode(), 9, mtime=0)).decode(),
         "reader": parts[READER],
     }
-    packed = _pack_smallest(clip, camera, background=background, stage=stage, shine=shine)
+    shown, _ = hide_flaws(clip)
+    packed = _pack_smallest(shown, camera, background=background, stage=stage, shine=shine)
     with replacing(path) as temporary, open(temporary, "wb") as file:
         file.write(fill(before, texts).encode())
         for start in range(0, len(packed), BLOCK):
@@ -188,8 +191,7 @@ def _pack_smallest(
     shine: Glossy | None,
 ) -> bytes:
     packed = pack(clip, camera, background=background, stage=stage, shine=shine)
-    finite = all(np.isfinite(means).all() for means in clip.means)
-    if not finite or (shine and "hues" in shine):
+    if shine and "hues" in shine:
         return packed
     shades = b"" if stage is None else zlib.compress(_differences(stage[1]).tobytes(), 9)
     player = _describe(clip, camera, background, stage, shine)

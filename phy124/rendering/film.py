@@ -103,8 +103,7 @@ def film(
     for name in view.formats:
         if name in EXPORTS:
             with watch.stage("export"):
-                shown, _ = hide_flaws(clip)
-                paths.append(EXPORTS[name](shown, view, folder, context.progress))
+                paths.append(EXPORTS[name](clip, view, folder, context.progress))
         else:
             paths += [made[name, side] for side in view.sides]
     if shine is not None and shine.seconds:
@@ -303,12 +302,14 @@ def write_player(path: PathLike, clip: Clip, view: View, side: str) -> None:
 
 
 def _usd(clip: Clip, view: View, folder: Path, progress: Progress) -> Path:
+    clip, _ = hide_flaws(clip)
     frames = drawn_frames(clip, view)
     write_usd(folder / "clip.usdc", clip, frames=frames, progress=progress)
     return folder / "clip.usdc"
 
 
 def _ply(clip: Clip, view: View, folder: Path, progress: Progress) -> Path:
+    clip, _ = hide_flaws(clip)
     frames = drawn_frames(clip, view)
     write_sequence(folder / "clip-ply", clip, frames=frames, progress=progress)
     return folder / "clip-ply"

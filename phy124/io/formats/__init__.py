@@ -25,6 +25,7 @@ from phy124.io.axes import orientation, rotate_gaussians
 from phy124.io.clip import Clip
 from phy124.io.content import Y_DOWN, Y_UP, Content
 from phy124.io.files import replacing
+from phy124.io.flaws import hide_flaws
 from phy124.io.formats import compressed_ply, glb, mesh, sog, splat, spz
 from phy124.io.formats.fourdgs import write_fourdgs
 from phy124.io.formats.lattice4d import write_lattice4d
@@ -95,12 +96,17 @@ class Format:
         return self.encode is not None or self.write_clip is not None
 
     def write(self, path: Path, gaussians: Gaussians, *, antialiased: bool = False) -> None:
-        """Write one frame to a file atomically."""
+        """Write one frame to a file atomically; Gaussians with NaN or infinite values are hidden.
+
+        Raises:
+            InputError: No Gaussian has finite values, or the file cannot be written.
+        """
+        clip, _ = hide_flaws(Clip.from_frames([Frame(0, 0.0, gaussians)]))
         if self.encode is None:
             assert self.write_clip is not None, f"{self.name} is not written"
-            self.write_clip(path, Clip.from_frames([Frame(0, 0.0, gaussians)]))
+            self.write_clip(path, clip)
             return
-        there = rotate_gaussians(gaussians, orientation(*self.axes).T)
+        there = rotate_gaussians(clip.frame(0).gaussians, orientation(*self.axes).T)
         with replacing(path) as temporary:
             temporary.write_bytes(self.encode(there, antialiased=antialiased))
 
