@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable
 from functools import cache
 from typing import Any
 
@@ -26,6 +27,9 @@ SCALARS: dict[str, Any] = {
     "float64": types.float64,
 }
 
+Decode = Callable[..., Any]
+"""Function that returns a sample from its bytes, as `IdlStruct.deserialize` does."""
+
 LATER: dict[str, dict[str, Any]] = {
     "simulation_interfaces/srv/SetEntityState_Request": {
         "set_pose": bool,
@@ -37,30 +41,58 @@ LATER: dict[str, dict[str, Any]] = {
 """
 
 
+class Undecoded:
+    """Stands for a sample whose bytes are not a message, such as a text that is not UTF-8."""
+
+    def __init__(self, error: Exception) -> None:
+        self.error = error
+
+
 @cache
 def idl_type(name: str) -> type[IdlStruct]:
-    """Return the final, keyless DDS type of a ROS message, with the name that ROS 2 uses."""
-    return _struct(name, {})
+    """Return the final, keyless DDS type of a ROS message, with the name that ROS 2 uses.
+
+    If a sample cannot be decoded, readers take an `Undecoded` instead of raising an error, which
+    would also lose the other samples.
+    """
+    kind = _struct(name, {})
+    return _decoded_by(kind, _refuse(kind.deserialize))
 
 
 @cache
 def service_type(name: str) -> type[IdlStruct]:
     """Return a service's request or response type, with the header of rmw_cyclonedds_cpp.
 
-    Requests may also contain the flags in `LATER`.
+    Requests may also contain the flags in `LATER`. Samples are decoded as those of `idl_type`.
     """
     header = {"client": types.uint64, "number": types.int64}
     kind = _struct(name, header)
+    decode = kind.deserialize
     if name in LATER:
-        later, only_earlier = _struct(name, header, LATER[name]), kind.deserialize
+        later, only_earlier = _struct(name, header, LATER[name]), decode
 
-        def deserialize(data: bytes, *args: Any, **options: Any) -> Any:
+        def decode(data: bytes, *args: Any, **options: Any) -> Any:
             try:
                 return later.deserialize(data, *args, **options)
             except struct.error:  # The message does not contain these flags.
                 return only_earlier(data, *args, **options)
 
-        setattr(kind, "deserialize", staticmethod(deserialize))  # noqa: B010
+    return _decoded_by(kind, _refuse(decode))
+
+
+def _refuse(decode: Decode) -> Decode:
+    def decode_or_refuse(data: bytes, *args: Any, **options: Any) -> Any:
+        try:
+            return decode(data, *args, **options)
+        except Exception as error:
+            # Other programs send these bytes, and cyclonedds raises many kinds of errors.
+            return Undecoded(error)
+
+    return decode_or_refuse
+
+
+def _decoded_by(kind: type[IdlStruct], decode: Decode) -> type[IdlStruct]:
+    setattr(kind, "deserialize", staticmethod(decode))  # noqa: B010
     return kind
 
 

@@ -7,10 +7,12 @@ declare it here (and in `RECORDED`, if recordings contain it).
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
+log = logging.getLogger(__name__)
 NAMESPACE = "phy124"
 STEERED = "live"
 """Name of the node of a steered run."""
@@ -136,7 +138,7 @@ class Controls:
     services: tuple[Service, ...] = ()
     steps: Callable[[int], Any] | None = None
     """Function that computes N steps; it returns an iterator that yields once per step."""
-    refused: Callable[[str], object] = lambda sentence: None
+    refused: Callable[[str], object] = log.warning
     """Function that receives the error message if an input is refused."""
     clock: bool = False
     patient: bool = True

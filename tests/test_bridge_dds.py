@@ -25,13 +25,15 @@ from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 
 from bridge import delivery, live
+from bridge.cdr import ENCAPSULATION
 from bridge.discovery import domain_id
-from bridge.idl import idl_type
+from bridge.idl import encoded_type, idl_type, sample
 from bridge.layout import points
 from bridge.messages import type_hash
 from bridge.options import LIVE_POINTS, LIVE_PROFILE, Options
 from bridge.player import Player
 from bridge.sinks.dds import DISCOVERY, DdsSink, quality
+from bridge.topics import COMMAND
 from phy124.errors import InputError
 
 SUBSCRIBER = Path(__file__).parent / "support/bridge_subscriber.py"
@@ -167,6 +169,22 @@ def test_a_string_command_pauses(domain):
                 sink.write(clip.frame(tick.index))
         lines = received(other)
     assert 6 <= len(lines) <= player.shown
+
+
+def test_a_text_that_is_not_utf8_is_refused(domain, caplog):
+    """The next message of the same peer is heard."""
+    texts, kind = [], "std_msgs/msg/String"
+    with DdsSink(Options()) as sink:
+        peer = DomainParticipant(domain)
+        topic = Topic(peer, "rt/phy124/command", encoded_type(kind))
+        writer = DataWriter(peer, topic, qos=quality(COMMAND))
+        wait_until(writer.get_matched_subscriptions)
+        for text in (b"pa\xfcse\0", b"pause\0"):
+            data = ENCAPSULATION + len(text).to_bytes(4, "little") + text
+            writer.write(sample(kind, data))
+        wait_until(lambda: sink.listen(0.02, texts.append) or texts)
+    assert texts == ["pause"]
+    assert "rt/phy124/command: a message cannot be decoded ('utf-8' codec" in caplog.text
 
 
 def test_dds_entities_are_as_ros_2_expects(domain):

@@ -66,8 +66,11 @@ def test_filters_select_entities(run, wanted, names):
     ("wanted", "code"),
     [
         ({"pattern": "("}, Code.OPERATION_FAILED),
+        ({"pattern": "a{4294967296}"}, Code.OPERATION_FAILED),
+        ({"pattern": "(" * 3000 + ")" * 3000}, Code.OPERATION_FAILED),
         ({"tags": ["red"]}, Code.FEATURE_UNSUPPORTED),
         ({"bounds": 2}, Code.FEATURE_UNSUPPORTED),
+        ({"bounds": 77}, Code.FEATURE_UNSUPPORTED),
         ({"bounds": 3}, Code.OPERATION_FAILED),
     ],
 )

@@ -174,9 +174,15 @@ def test_ten_thousand_messages_are_skipped_with_one_line():
 
 def test_invalid_messages_are_refused_in_a_sentence():
     wrong = [b"{", b"[]", b'{"x": "1"}', b'{"y": true}', b'{"w": 1}', b"[" * 100_000]
-    for data in wrong:
+    huge = b'{"x": 1%s}' % (b"0" * 400)
+    for data in (*wrong, huge):
         with pytest.raises(InputError, match="Send JSON"):
             from_json("geometry_msgs/msg/Point", data)
+    with pytest.raises(
+        InputError, match=r"Time\.sec = 2147483648: it is outside the range of int32"
+    ):
+        from_json("builtin_interfaces/msg/Time", b'{"sec": 2147483648}')
+    assert type(from_json("geometry_msgs/msg/Point", b'{"x": 100000000000000000000}').x) is float
     message = from_json("geometry_msgs/msg/PointStamped", b'{"point": {"y": 2}}')
     assert (message.header.frame_id, message.point.x, message.point.y) == ("", 0.0, 2)
     answer = schema("simulation_interfaces/msg/SimulatorFeatures")["properties"]

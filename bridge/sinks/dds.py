@@ -10,7 +10,7 @@ from __future__ import annotations
 import logging
 import os
 import struct
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -142,11 +142,9 @@ class DdsSink:
         for reader, hear in self._heard:
             samples = reader.take(AT_ONCE)
             more = more or len(samples) == AT_ONCE
-            for sample in samples:
-                # An invalid sample means that a publisher has disconnected.
-                if sample.sample_info.valid_data:
-                    hear(sample)
-        self._services.serve()
+            for sample in _sound(samples, reader, self._controls.refused):
+                hear(sample)
+        self._services.serve(self._controls.refused)
         return more
 
     def show(self, playback: Playback) -> None:
@@ -228,8 +226,8 @@ class DdsSink:
 
     def _namesakes(self) -> int:
         identity = self._participant.guid.bytes
-        for sample in self._nodes.take(MANY):
-            if hasattr(sample, "gid") and bytes(sample.gid.data) != identity:
+        for sample in _sound(self._nodes.take(MANY), self._nodes, log.debug):
+            if bytes(sample.gid.data) != identity:
                 names = {(n.node_namespace, n.node_name) for n in sample.node_entities_info_seq}
                 writer = sample.sample_info.publication_handle
                 self._others[writer] = (f"/{NAMESPACE}", self._node) in names
@@ -291,12 +289,22 @@ class DdsServices:
         """Writers of the replies."""
         return [offered.writer for offered in self._offered]
 
-    def serve(self) -> None:
-        """Answer the service requests that are waiting."""
+    def serve(self, refused: Callable[[str], object]) -> None:
+        """Answer the service requests that are waiting; `refused` receives error messages."""
         for offered in self._offered:
-            for request in offered.reader.take(AT_ONCE):
-                if request.sample_info.valid_data:
-                    _answer(offered, request)
+            for request in _sound(offered.reader.take(AT_ONCE), offered.reader, refused):
+                _answer(offered, request)
+
+
+def _sound(samples: Sequence[Any], reader: Any, refused: Callable[[str], object]) -> Iterator[Any]:
+    from ..idl import Undecoded
+
+    for sample in samples:
+        if isinstance(sample, Undecoded):
+            refused(f"{reader.topic.name}: a message cannot be decoded ({sample.error}).")
+        elif sample.sample_info.valid_data:
+            # An invalid sample means that a publisher has disconnected.
+            yield sample
 
 
 def _answer(offered: _Offered, request: Any) -> None:

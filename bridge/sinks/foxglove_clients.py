@@ -7,6 +7,8 @@ Messages and calls are received in the threads of the server, and executed in th
 from __future__ import annotations
 
 import json
+import reprlib
+import struct
 from collections import deque
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
@@ -16,6 +18,7 @@ from typing import Any
 
 from phy124.errors import InputError
 
+from ..cdr import PRIMITIVES
 from ..messages import DEFINITIONS, Field, fields
 from ..sink import Obey
 from ..topics import COMMAND, Controls, Hear, Service, Topic, full_name
@@ -194,7 +197,18 @@ def _value(base: str, value: Any, where: str) -> Any:
         return zero
     if isinstance(value, bool) is not (base == "bool") or not isinstance(value, kinds):
         raise InputError(where, value, f"it must be a {base}.", REMEDY)
-    return value
+    return _rounded(base, value, where) if base in PRIMITIVES else value
+
+
+def _rounded(base: str, value: float, where: str) -> Any:
+    """Return a number as the encoding of ROS messages stores it, such as an integer as a float."""
+    stored = struct.Struct(f"<{PRIMITIVES[base]}")
+    try:
+        (number,) = stored.unpack(stored.pack(value))
+    except (OverflowError, struct.error):
+        limit = f"it is outside the range of {base}."
+        raise InputError(where, reprlib.repr(value), limit, REMEDY) from None
+    return number
 
 
 def _kind(base: str) -> tuple[tuple[type, ...], Any]:

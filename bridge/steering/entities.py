@@ -38,8 +38,8 @@ INVALID_POSE = 101
 """Additional result code of SetEntityState."""
 DYNAMIC, STATIC = 4, 5
 """Categories of `simulation_interfaces/msg/EntityCategory`: moving objects, held objects."""
-EMPTY, BOX, CONVEX, SPHERE = range(4)
-"""Types of `simulation_interfaces/msg/Bounds`."""
+EMPTY, BOX, SPHERE = 0, 1, 3
+"""Supported types of `simulation_interfaces/msg/Bounds`."""
 FARTHEST = 5.0
 """Largest distance of a new position from the middle of the scene [object sizes]."""
 FIXED = "The objects of a run are fixed; {} of entities is not supported. Start `live` with --more."
@@ -56,11 +56,11 @@ class Entities:
         filters = request.filters
         try:
             pattern = re.compile(filters.filter)
-        except re.error as error:
+        except (re.error, OverflowError, RecursionError) as error:
             return {"result": result(Code.OPERATION_FAILED, f"filter: {error}")}
         if filters.tags.tags:
             return {"result": result(Code.FEATURE_UNSUPPORTED, "Entities have no tags.")}
-        if filters.bounds.type == CONVEX:
+        if filters.bounds.type not in (EMPTY, BOX, SPHERE):
             said = "Bounds must be a sphere or a box."
             return {"result": result(Code.FEATURE_UNSUPPORTED, said)}
         wanted = {each.category for each in filters.categories}
