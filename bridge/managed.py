@@ -83,9 +83,13 @@ class Work:
         self._open.close()
 
     def shut_down(self) -> None:
-        """Close the clip, remove the topics and services, and let `run` return."""
+        """Stop playing, and let `run` return; `run` closes the clip and removes the topics.
+
+        They must outlast this callback, since `play` still uses them.
+        """
+        if self._active:
+            self.deactivate()
         self._over = True
-        self.clean_up()
 
     def run(self) -> None:
         """Until the node or ROS is shut down, play while the node is active, and otherwise wait."""

@@ -106,8 +106,14 @@ def test_failed_configure_says_why_and_can_be_repeated(ros, clip):
 
 
 def test_shutdown_of_the_active_node_ends_it(ros, clip):
-    made, done = manage(ros, clip, *PLAYED, "shutdown", loop=True)
+    """The next frame is due before the subscriber has acknowledged the last one."""
+
+    def subscribe(made):
+        made.publishers["points"].subscriptions = 1
+
+    made, done = manage(ros, clip, *PLAYED, subscribe, "shutdown", loop=True)
     assert done[-1] == ("shutdown", True)
+    assert not [text for severity, text in made.logger.lines if severity in ("ERROR", "FATAL")]
     assert made.destroyed and list(made.services) == [(object, made.services["~/change_state"][1])]
 
 

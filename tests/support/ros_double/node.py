@@ -79,6 +79,10 @@ class Logger:
         self._log("FATAL", text)
 
 
+class InvalidHandle(Exception):
+    """Stands for rclpy's error of the same name: a destroyed publisher was used."""
+
+
 @dataclass
 class Publisher:
     """rclpy.publisher.Publisher over Cyclone: subscribers acknowledge only at a heartbeat."""
@@ -93,9 +97,15 @@ class Publisher:
     acked: bool = True
     """Whether subscribers acknowledge messages."""
     waits: list = field(default_factory=list)
+    destroyed: bool = False
     _last: float = -math.inf
 
+    def _must_exist(self) -> None:
+        if self.destroyed:
+            raise InvalidHandle("cannot use Destroyable because destruction was requested")
+
     def publish(self, message: Any) -> None:
+        self._must_exist()
         self.node.context_must_be_ok("publisher's context is invalid")
         if not isinstance(message, (self.kind, bytes)):
             raise TypeError(f"Expected {self.kind}, got {type(message)}")
@@ -106,6 +116,7 @@ class Publisher:
         return self.subscriptions
 
     def wait_for_all_acked(self, timeout: Any) -> bool:
+        self._must_exist()
         self.node.context_must_be_ok("publisher's context is invalid")
         self.waits.append(timeout.seconds)
         wait = self._unacknowledged()
@@ -218,6 +229,7 @@ class Node:
 
     def destroy_publisher(self, entity) -> None:
         self._destroy(self.publishers, entity)
+        entity.destroyed = True
 
     def destroy_service(self, entity) -> None:
         self._destroy(self.services, entity)
