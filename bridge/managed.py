@@ -29,6 +29,7 @@ from .parameters import convert, declare
 from .ros_node import temporary_entities
 from .sink import LONGEST_WAIT
 from .sinks.rclpy import RclpySink
+from .source import FileWatch
 
 INACTIVE = "The node is inactive: activate it first."
 RUNNING = ("speed ", "rate ", "loop ")
@@ -58,6 +59,7 @@ class Work:
             name: convert(name, node.get_parameter(name).value, parameter)
             for name, parameter in CLIP_PARAMETERS.items()
         }
+        watch = FileWatch(chosen["clip"])
         clip, player, options, clock = opened_clip(chosen)
         with ExitStack() as stack:
             stack.enter_context(temporary_entities(node))
@@ -65,6 +67,7 @@ class Work:
             sink = stack.enter_context(RclpySink(options, clock=clock, node=node))
             sink.show(player)
             self._clip, self._player, self._look = clip, player, cameras.look
+            self._check = watch.check
             self._sink, self._open = sink, stack.pop_all()
 
     def activate(self) -> None:
@@ -92,7 +95,11 @@ class Work:
         self._over = True
 
     def run(self) -> None:
-        """Until the node or ROS is shut down, play while the node is active, and otherwise wait."""
+        """Until the node or ROS is shut down, play while the node is active, and otherwise wait.
+
+        Raises:
+            InputError: Another program wrote into the clip while it was played.
+        """
         from rclpy.executors import SingleThreadedExecutor
 
         node = self._node
@@ -103,8 +110,14 @@ class Work:
                 if self._sink is None:
                     executor.spin_once(timeout_sec=LONGEST_WAIT)
                 elif self._active:
-                    going = lambda: self._active  # noqa: E731
-                    play(self._clip, self._sink, self._player, look=self._look, going=going)
+                    play(
+                        self._clip,
+                        self._sink,
+                        self._player,
+                        look=self._look,
+                        going=lambda: self._active,
+                        check=self._check,
+                    )
                 else:
                     self._sink.listen(LONGEST_WAIT, self._obey_inactive)
         finally:

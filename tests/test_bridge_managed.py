@@ -1,5 +1,6 @@
 """The managed node in the states of its lifecycle, against a double of rclpy."""
 
+import os
 import sys
 
 import pytest
@@ -115,6 +116,16 @@ def test_shutdown_of_the_active_node_ends_it(ros, clip):
     assert done[-1] == ("shutdown", True)
     assert not [text for severity, text in made.logger.lines if severity in ("ERROR", "FATAL")]
     assert made.destroyed and list(made.services) == [(object, made.services["~/change_state"][1])]
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows protects a file that is mapped")
+def test_a_clip_that_is_overwritten_ends_the_node(ros, clip):
+    """Frames are read from the file; the end of a shorter file would be a bus error."""
+    with pytest.raises(SystemExit) as ended:
+        manage(ros, clip, *PLAYED, lambda made: os.truncate(clip, 100), loop=True)
+    assert ended.value.code == 1
+    (line,) = [text for severity, text in ros.nodes[0].logger.lines if severity == "FATAL"]
+    assert "Another program wrote into this file" in line
 
 
 def test_wrong_parameter_ends_the_node_with_a_sentence(ros, clip, capsys):
