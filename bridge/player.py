@@ -17,6 +17,10 @@ SPEEDS = (0.01, 100.0)
 """Smallest and largest playback speed, relative to real time."""
 RATES = (0.0, 1000.0)
 """Smallest and largest number of frames per second. 0 or None means that every frame is shown."""
+ROUNDING = 1e-6
+"""Largest difference between a time and the frame that a peer means by this time [s]. Messages
+round times to nanoseconds.
+"""
 LATENESS = 0.15
 """Largest delay at which a frame is still sent [s].
 
@@ -78,7 +82,7 @@ class Player:
         self._offset = -self._anchor  # time stamp minus time in the clip
         self._shown_at = -math.inf  # time in the clip of the last frame shown since a jump
         self.position = self._anchor
-        """Time in the clip of the last frame shown [s]."""
+        """Time in the clip [s] of the last frame shown, or, after `seek`, of the next frame."""
         self._stamp: float | None = None  # time stamp of the last frame shown
         self._clock = 0.0  # last value that `stamp_at` returned
 
@@ -156,17 +160,20 @@ class Player:
     def seek(self, time: float, now: float) -> None:
         """Go to the first frame whose time in the clip is `time` [s] or later.
 
+        Differences up to `ROUNDING` are ignored.
+
         Raises:
             InputError: The time is outside the clip.
         """
         first, last = float(self.times[0]), float(self.times[-1])
-        if not first <= time <= last:
+        if not first - ROUNDING <= time <= last + ROUNDING:
             limit = f"The clip runs from {first:g} s to {last:g} s."
             raise InputError("seek", time, limit, "Seek to a time within the clip.")
-        target = int(np.searchsorted(self.times, time))
+        target = int(np.searchsorted(self.times, min(time, last) - ROUNDING))
         self._next, self._peek, self.finished = target, True, False
-        self._splice(float(self.times[target]))
-        self._rebase(float(self.times[target]), now)
+        self.position = float(self.times[target])
+        self._splice(self.position)
+        self._rebase(self.position, now)
 
     def set_speed(self, speed: float, now: float) -> None:
         """Change the speed without a jump in time; raise InputError if it is outside `SPEEDS`."""

@@ -103,7 +103,7 @@ class Playback(Protocol):
     dropped: int
     """Numbers of frames shown, and of frames dropped because they were late."""
     position: float
-    """Time in the clip of the last frame shown [s]."""
+    """Time in the clip [s] of the last frame shown, or of a frame that was sought."""
 
     def stamp_at(self, now: float) -> float:
         """Return the seconds of the clip played until `now` [s]; the value never decreases."""

@@ -108,6 +108,16 @@ def test_seek_shows_the_frame_even_while_paused():
     assert player.due(2.0) is None
 
 
+@pytest.mark.parametrize("fps", [24, 30, 60])
+def test_seek_to_a_time_in_nanoseconds_shows_its_frame(fps):
+    times = np.arange(240) / fps
+    for index in range(240):
+        player = Player(times, paused=True)
+        player.seek(round(times[index] * 1e9) / 1e9, 0.0)
+        assert player.position == times[index], "before the frame is shown"
+        assert player.due(0.0).index == index
+
+
 def test_stamps_grow_through_seeks_back_and_forth():
     player, stamps, now = Player(TIMES, loop=True), [], 0.0
     rng = np.random.default_rng(1)
