@@ -58,6 +58,15 @@ def heard(sink, count):
     return orders
 
 
+def wait_for_job(sink, obey):
+    """Let the sink carry out the next request."""
+    deadline = time.monotonic() + 10
+    while sink._jobs.empty():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    sink.listen(0.0, obey)
+
+
 def test_a_viewer_gets_the_clip_to_the_last_bit():
     clip = random_clip()
     with connected(duration=0.1) as (sink, client):
@@ -100,16 +109,34 @@ def test_playback_controls_become_commands():
         assert heard(sink, 2) == ["speed 0.5", "pause"]
         client.control(True, seek=EPOCH * 10**9 + 1_500_000_000, request="again")
         assert heard(sink, 3) == ["speed 1.0", "seek 1.5", "play"]
-        player = Player(np.arange(20) / 10)
-        player.due(0.0)
-        for text in ("seek 1.5", "play"):
-            live.command(player, text, 0.0)
-        player.due(0.0)
+
+
+def test_a_state_answers_a_request_that_was_carried_out():
+    """No state has the request's identifier before, and a refused seek is not reported as done."""
+    player = Player(np.arange(20) / 10, paused=True)
+
+    def obey(text):
+        refusal = live._attempt(lambda: live.command(player, text, 0.0))
         sink.show(player)
+        return refusal
+
+    def next_state():
         state = client.binary(PLAYBACK_STATE)
-    status, now, speed, sought, length = struct.unpack("<BQfBI", state[:18])
-    assert (status, now, speed) == (0, EPOCH * 10**9 + 1_500_000_000, 1.0)
-    assert (sought, state[18 : 18 + length]) == (1, b"again")
+        status, now, speed, sought, length = struct.unpack("<BQfBI", state[:18])
+        assert length == len(state[18:])
+        return status, now - EPOCH * 10**9, speed, sought, state[18:].decode()
+
+    with connected(duration=1.9) as (sink, client):
+        sink.show(player)
+        assert next_state() == (1, 0, 1.0, 0, "")
+        for seek, name in ((1_500_000_000, "again"), (5_000_000_000, "beyond")):
+            client.control(True, seek=EPOCH * 10**9 + seek, speed=2.0, request=name)
+            sink.show(player)  # the server's thread may have received the request
+            wait_for_job(sink, obey)
+        states = [next_state() for _ in range(4)]
+    done = (0, 1_500_000_000, 2.0)
+    assert states[:2] == [(1, 0, 1.0, 0, ""), (*done, 1, "again")]
+    assert states[2:] == [(*done, 0, ""), (*done, 0, "beyond")]
 
 
 def test_a_running_simulation_has_no_controls():

@@ -74,10 +74,8 @@ class FoxgloveSink:
             self._reports = Reports(self._encoder, self.send, audience, controls)
         self._jobs: queue.Queue[Job] = queue.Queue()
         self._latest: list[Message] = []
-        self._answers: str | None = (
-            None  # identifier of the request that the next state message answers
-        )
-        self._sought = False
+        self._playback: Playback | None = None
+        self._obeying = False  # whether a request is carried out, whose answer is the next state
 
     def __enter__(self) -> FoxgloveSink:
         """Start the server; raise InputError if the port is in use."""
@@ -132,18 +130,20 @@ class FoxgloveSink:
 
     def show(self, playback: Playback) -> None:
         """Send the state of playback to the viewers."""
-        from foxglove.websocket import PlaybackState, PlaybackStatus
-
         if self._reports:
             self._reports.change(playback)
-        if self._duration is None:
-            return
+        self._playback = playback
+        if self._duration is not None and not self._obeying:
+            self._broadcast(playback)
+
+    def _broadcast(self, playback: Playback, sought: bool = False, request: str = "") -> None:
+        from foxglove.websocket import PlaybackState, PlaybackStatus
+
         status = PlaybackStatus.Paused if playback.paused else PlaybackStatus.Playing
         if playback.finished:
             status = PlaybackStatus.Ended
         now = self._encoder.stamp(playback.position)
-        state = PlaybackState(status, now, playback.speed, self._sought, self._answers)
-        self._answers, self._sought = None, False
+        state = PlaybackState(status, now, playback.speed, sought, request or None)
         self._server.broadcast_playback_state(state)
 
     def send(self, message: Message) -> None:
@@ -185,15 +185,22 @@ class FoxgloveSink:
             playing: True to play, False to pause.
             speed: Playback speed: seconds of the clip per real second.
             seek: Time to seek [ns since 1970]. If None, the time does not change.
-            request: Identifier of the request; the next state must contain this identifier.
+            request: Identifier of the request; the state after the request contains it.
         """
-        orders = [f"speed {speed!r}"]
-        if seek is not None:
-            orders.append(f"seek {(seek - self._encoder.epoch) / NANO!r}")
-            self._sought = True
-        self._answers = request
-        orders.append("play" if playing else "pause")
-        self.post(lambda obey: [obey(order) for order in orders])
+
+        def carry_out(obey: Obey) -> None:
+            sought, self._obeying = False, True
+            try:
+                obey(f"speed {speed!r}")
+                if seek is not None:
+                    sought = obey(f"seek {(seek - self._encoder.epoch) / NANO!r}") is None
+                obey("play" if playing else "pause")
+            finally:
+                self._obeying = False
+            if self._playback is not None:
+                self._broadcast(self._playback, sought, request)
+
+        self.post(carry_out)
 
     def _range(self) -> tuple[int, int] | None:
         if self._duration is None:
