@@ -197,10 +197,10 @@ def _value(base: str, value: Any, where: str) -> Any:
         return zero
     if isinstance(value, bool) is not (base == "bool") or not isinstance(value, kinds):
         raise InputError(where, value, f"it must be a {base}.", REMEDY)
-    return _rounded(base, value, where) if base in PRIMITIVES else value
+    return _round(base, value, where) if base in PRIMITIVES else value
 
 
-def _rounded(base: str, value: float, where: str) -> Any:
+def _round(base: str, value: float, where: str) -> Any:
     """Return a number as the encoding of ROS messages stores it, such as an integer as a float."""
     stored = struct.Struct(f"<{PRIMITIVES[base]}")
     try:
