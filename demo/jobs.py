@@ -191,10 +191,11 @@ class Studio:
         visitor = self.visitors.find(choice.name)
         if self.forks or visitor is None or not is_there(choice.source):
             return None
+        scene = self._scene(visitor, choice.data)
+        self._check_time(choice.source, scene)
         if not DEVICE.acquire(blocking=False):
             return None
         try:
-            scene = self._scene(visitor, choice.data)
             order = self._order(choice, scene)
             if order is None:
                 return None

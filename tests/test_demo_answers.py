@@ -14,12 +14,13 @@ from demo.settings import Settings
 from demo.source import Choice, Cutout
 from demo.visitors import UNUSED, Visitors
 from demo.work import Done
+from phy124.errors import InputError
 from phy124.scene import Scene
 
 pytestmark = pytest.mark.usefixtures("coarse_solids")
 
 GONE = "The server no longer has"
-TEDDY = Path(__file__).parents[1] / "demo/examples/teddy.png"
+TEDDY, DUCK = (Path(__file__).parents[1] / f"demo/examples/{n}.png" for n in ("teddy", "duck"))
 
 
 @pytest.fixture
@@ -35,6 +36,16 @@ def handlers(monkeypatch, gradio):
     for module in (handlers.event, handlers.picture, handlers.results):
         monkeypatch.setattr(module, "visitor_of", lambda _: "a")
     return handlers
+
+
+@pytest.fixture
+def sources(studio) -> list[Cutout]:
+    """Two objects of visitor a."""
+    studio.visitors.get("a")
+    sent = [studio.visitors.store("a", path.read_bytes(), ".png") for path in (TEDDY, DUCK)]
+    jobs = [studio.cut_out("a", str(path)) for path in sent]
+    assert all(job.wait(60) for job in jobs)
+    return [job.progress.result for job in jobs]
 
 
 def _event(**data: Any) -> Any:
@@ -143,6 +154,14 @@ def test_a_probe_that_is_not_made_gives_the_forecast(studio, handlers, monkeypat
     assert answer["html"] and answer["change"] == 7
     for handler in (handlers.on_refine, handlers.on_scene_changed):
         assert handler(studio)(None, *asked[1:]) == {"change": 7, "html": None}
+
+
+def test_a_run_beyond_the_time_limit_gets_no_trial(studio, sources):
+    studio.settings = Settings(max_seconds=2)
+    long = Scene.named("press").replaced({"time.frames": 72, "material.E": 1e9})
+    for predict in (studio.forecast, studio.refine):
+        with pytest.raises(InputError, match="the limit of this page is 2 s"):
+            predict(Choice("a", sources[0], long.data()))
 
 
 def test_each_stage_of_a_run_has_one_time(studio):
