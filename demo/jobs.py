@@ -38,7 +38,7 @@ from .settings import Settings
 from .source import Choice, Cutout, Source, check_file, is_there, missing, open_gaussians
 from .studies import grids, on_grid, read_study
 from .touch import Table
-from .visitors import Visitor, Visitors, key
+from .visitors import Visitor, Visitors
 from .work import (
     DEVICE,
     Done,
@@ -50,6 +50,7 @@ from .work import (
     stages_done,
     steps,
     study_file,
+    trial_key,
 )
 from .work.order import count_of, order_of
 
@@ -207,7 +208,7 @@ class Studio:
             rates = self.forecaster.rates
             rest = rates.rest + rates.pixel * ready["composed"]
             estimate = probe_estimate(gaussians, order.scene, device, rest)
-            visitor.forecasts[key(scene.data())] = estimate.seconds
+            visitor.forecasts[trial_key(order)] = estimate.seconds
             visitor.proportions[str(made_gaussians(order))] = estimate.proportions
         finally:
             DEVICE.release()
@@ -222,15 +223,16 @@ class Studio:
         self, estimate: Estimate, choice: Choice, scene: Scene, order: Order | None
     ) -> Estimate:
         """The error was measured on this object or, if it was not, on similar objects."""
-        visitor, study, proportions = self.visitors.find(choice.name), None, None
+        visitor, study, proportions, seconds = self.visitors.find(choice.name), None, None, None
         if order is not None and visitor is not None:
             study = read_study(study_file(order))
             proportions = visitor.proportions.get(str(made_gaussians(order)))
+            seconds = visitor.forecasts.get(trial_key(order))
         stops = self.forecaster.stops(
             scene,
             gaussians=self.count(choice.source),
             proportions=proportions,
-            seconds=visitor.forecasts.get(key(scene.data())) if visitor else None,
+            seconds=seconds,
             study=study,
         )
         promise = promise_of(scene, proportions, study)
@@ -258,7 +260,8 @@ class Studio:
         self._check_time(source, scene)
         order = self.order((visitor, source, scene), self.check_extras(choice.name, choice.extras))
         usual = self._predict(source, scene, order)
-        expected = visitor.forecasts.get(key(scene.data()), usual.seconds)
+        trial = None if stages_done(order)["simulated"] else visitor.forecasts.get(trial_key(order))
+        expected = usual.seconds if trial is None else trial
         stages = STAGES if isinstance(source, Cutout) else STAGES | READING
         job = Job("run", visitor.new_stop_file(), expected, stages=stages)
         job.progress.unloaded = usual.unloaded

@@ -33,7 +33,7 @@ class Visitor:
         self.seen = time.monotonic()
         """Time of the visitor's last request [s]."""
         self.forecasts: dict[str, float] = {}
-        """Run time predicted by a trial run [s], by the key of the scene."""
+        """Run time predicted by a trial run [s], by `demo.work.trial_key`."""
         self.proportions: dict[str, Proportions | None] = {}
         """Proportions of the visitor's objects, by the file of the object's Gaussians."""
         self.jobs: dict[str, Job] = {}

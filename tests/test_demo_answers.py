@@ -1,6 +1,7 @@
 """Panels that ask one question at a time: the server answers each, whatever has become of it."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -13,7 +14,8 @@ from demo.line import Job
 from demo.settings import Settings
 from demo.source import Choice, Cutout
 from demo.visitors import UNUSED, Visitors
-from demo.work import Done
+from demo.work import Done, gaussians_of, made_gaussians
+from demo.work.order import folders
 from phy124.errors import InputError
 from phy124.scene import Scene
 
@@ -162,6 +164,26 @@ def test_a_run_beyond_the_time_limit_gets_no_trial(studio, sources):
     for predict in (studio.forecast, studio.refine):
         with pytest.raises(InputError, match="the limit of this page is 2 s"):
             predict(Choice("a", sources[0], long.data()))
+
+
+def test_the_time_of_a_trial_run_is_that_of_its_object(studio, sources, monkeypatch):
+    trial = replace(studio.forecaster(Scene.named("drop")), seconds=1234.0)
+    monkeypatch.setattr("demo.jobs.seconds_to_compile", lambda *_: 0.0)
+    monkeypatch.setattr("demo.jobs.probe_estimate", lambda *_: trial)
+    asked = [Choice("a", source, Scene.named("drop").data()) for source in sources]
+    order = studio._order(asked[0], Scene.named("drop"))
+    gaussians_of(order, made_gaussians(order))
+    assert studio.refine(asked[0]).seconds == 1234.0
+    studio.work = lambda _: iter(())
+    composed = replace(asked[0], extras={"compose": True})
+    first, second, third = (studio.run(each) for each in (*asked, composed))
+    assert first.progress.expected == 1234.0
+    assert second.progress.expected < 1234.0 > third.progress.expected
+    assert all(job.wait(60) for job in (first, second, third))
+    clip, _ = folders(order)
+    clip.mkdir()
+    (clip / "report.json").write_text("{}")
+    assert studio.run(asked[0]).progress.expected < 1234.0, "only the videos are made"
 
 
 def test_each_stage_of_a_run_has_one_time(studio):

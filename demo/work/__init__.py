@@ -32,6 +32,7 @@ from .order import (
     made_gaussians,
     stages_done,
     study_file,
+    trial_key,
 )
 from .study import measure
 
@@ -47,6 +48,7 @@ __all__ = [
     "stages_done",
     "steps",
     "study_file",
+    "trial_key",
 ]
 
 

@@ -134,6 +134,12 @@ def made_gaussians(order: Order) -> Path:
     return order.folder / "gaussians" / f"{name}.safetensors"
 
 
+def trial_key(order: Order) -> str:
+    """Return the key of the run time that a trial run predicts for an order."""
+    composed = stages_done(order)["composed"]
+    return key(made_gaussians(order).name, order.scene.data(), composed)
+
+
 def made_by(order: Order) -> tuple[Path, ...]:
     """Return the folders and files that an order writes or reads."""
     return *folders(order), made_gaussians(order)
