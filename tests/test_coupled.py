@@ -65,6 +65,17 @@ def test_lattice_hits_particles_with_exact_momentum():
     assert np.allclose(force, after[1] - before[1], rtol=0, atol=1e-9)
 
 
+def test_lattices_have_the_length_of_the_last_substep():
+    """The strain rate of a squeezed point is divided by its shortening in the last substep."""
+    moving, lengths = [(0, 0, 0), (-5, 0, 0)], []
+    solver = make((6, 6, 6), (0.2, 0.2, 0.2), block((0.3,) * 3, low=(0.6, 0.3, 0.3)), v=moving)
+    clocks = solver.clock, solver.lattice.clock
+    solver.advance(0.05, after=lambda: lengths.append([clock.last_dt for clock in clocks]))
+    of_particles, of_lattices = np.transpose(lengths)
+    assert np.ptp(of_particles) > 0
+    assert np.array_equal(of_particles, of_lattices)
+
+
 def test_clamp_takes_the_push_of_particles_on_held_nodes():
     clamp = Held(lower=(0.7, -1, -1), upper=(2, 2, 2))
     solid = block((0.3,) * 3, low=(0.6, 0.3, 0.3))

@@ -138,7 +138,7 @@ class CoupledSolver(Solver):
         lattice.pairs.begin()
         before = [material.sums.numpy().copy() for material in self.materials]
         super().advance(until, after=after, each=each)
-        lattice.clock.time, lattice.clock.last_dt = self.clock.time, self.clock.last_dt
+        lattice.clock.time = self.clock.time
         lattice.follow()
         copy_points(lattice.state, self.state, self._index)
         for material, old in zip(self.materials, before, strict=True):
@@ -157,6 +157,7 @@ class CoupledSolver(Solver):
             # Substeps that are short because of the particles say nothing about the lattices.
             self.lattice.clock.mark()
         super()._stable_step(until)
+        self.lattice.clock.last_dt = self.clock.last_dt
 
     def step(self, kick: float, drift: float) -> None:
         """Take one substep: change velocities for `kick` [s], positions and F for `drift` [s]."""
