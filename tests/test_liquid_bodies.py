@@ -314,6 +314,26 @@ def test_vibration_depends_on_the_size_of_each_body():
     assert periods[0] == pytest.approx(periods[1], rel=1e-2)
 
 
+@pytest.mark.parametrize("solver", ["mpm", "lattice"])
+def test_vibration_depends_on_the_stiffness_profile(solver):
+    """A slab under a liquid, which is soft or is softened, limits the same number of steps."""
+    inside = {"lower": [-0.7, -0.7, 0], "upper": [0.7, 0.7, 1e9]}
+    softer = {"kind": "keyframes", "times": [0, 5], "factors": [0.01, 0.01]}
+    limited = []
+    for E, changes in ((2e4, {}), (2e6, {"stiffness_profile": softer})):
+        soft = {"law": "neo_hookean", "E": E, "nu": 0.3, "density": 1500, "damping": 10}
+        slab = {"name": "slab", "shape": "box", "sides": [1, 1, 0.5], "size": 0.5, "material": soft}
+        scene = {"material": {"law": "fluid"}, "object": {"on": "slab"}, "objects": [slab]}
+        scene |= {"boundaries": [{"kind": "ground"}, {"kind": "container", "inside": inside}]}
+        scene |= {"accuracy": {"cells": 8, "solver": solver}, "forces": [{"kind": "gravity"}]}
+        declared = Scene.from_data({**scene, **changes})
+        simulation = Simulation(prepare(surface_of_ball(100), declared, RunContext(threads=1)))
+        for _ in range(12):
+            simulation.step()
+        limited.append(simulation.solver.liquid.clock.limiters["elastic"])
+    assert limited[0] == limited[1] > 0
+
+
 @pytest.mark.parametrize(("density", "short"), [(0.04, True), (0.06, False)])
 def test_steps_resolve_the_vibration_of_a_light_body(density, short):
     solver = run(with_block(density * DENSITY, LEVEL, cells=(6, 6, 6), E=5e3), 1)

@@ -55,7 +55,7 @@ class Bodies(Kept):
         "_centres",
         "_forces",
         "_films",
-        "period",
+        "_period",
         "work",
     )
 
@@ -105,12 +105,10 @@ class Bodies(Kept):
         """Largest acceleration of a body's particle by the pressure of the liquid [m/s^2]."""
         self._kick, self._pull = 0.0, np.zeros(3)
         self.pushed = False
-        self.period = math.inf
-        """Shortest vibration period of bodies below a liquid [s]."""
-        self.light = self._lightest = math.inf
-        """Shortest vibration period of light bodies in the liquid [s], at present and with the
-        initial stiffness.
-        """
+        self._period = self._lightest = math.inf
+        """`period` and `light` with the initial stiffness [s]."""
+        self._softened = 1.0
+        """Current factor on the initial stiffness."""
         self._stiff = np.array([_stiffness(model, body) for body in self.numbers])
         self._stiffness = wp.array(self._stiff, dtype=wp.float64, device=device)
         every = self.first + count
@@ -139,10 +137,20 @@ class Bodies(Kept):
         """
         return self._impulses[self.first :]
 
+    @property
+    def period(self) -> float:
+        """Shortest vibration period of bodies below a liquid [s]."""
+        return self._period / math.sqrt(self._softened)
+
+    @property
+    def light(self) -> float:
+        """Shortest vibration period of light bodies in the liquid [s]."""
+        return self._lightest / math.sqrt(self._softened)
+
     def soften(self, factor: float) -> None:
         """Multiply the initial stiffness of all bodies by a factor."""
+        self._softened = factor
         self._stiffness.assign(factor * self._stiff)
-        self.light = self._lightest / math.sqrt(factor)
 
     def join(self, solids: Solids, mobility: wp.array) -> None:
         """Store the arrays of all solids; the bodies are the last entries."""
@@ -155,7 +163,7 @@ class Bodies(Kept):
             light = mass / volume * self._model.dx**3 < LIGHT * solids.scale
             if light and body not in self._model.held:
                 period = 4 * volume ** (1 / 3) / _wave_speed(self._model, body)
-                self.light = self._lightest = min(self.light, period)
+                self._lightest = min(self._lightest, period)
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
         """Return the stages that apply the pressure to the bodies in each substep."""
@@ -349,10 +357,10 @@ class Bodies(Kept):
         model, real = self._model, self._model.real
         self._drift = drift
         before = np.array(self._exchanged.numpy(), np.float64)
-        self.period = math.inf
+        self._period = math.inf
         for index in range(len(self.numbers)):
             self._press_film(cells, tracks, sums, densities, index)
-            self.period = min(self.period, self._vibration(index))
+            self._period = min(self._period, self._vibration(index))
         # The velocities of bodies are not half a step behind positions, so their first impulse is
         # not halved.
         exchanged, lasts = np.array(self._exchanged.numpy(), np.float64), drift / self._kick
@@ -394,8 +402,9 @@ class Bodies(Kept):
         self._launch(films.make_film(real), count, inputs, outputs)
 
     def _vibration(self, index: int) -> float:
-        """Return the vibration period [s] of a body on a wall: four times the time in which a wave
-        crosses the body. The period is infinite if liquid surrounds the contact area.
+        """Return the vibration period [s] of a body on a wall, with the initial stiffness: four
+        times the time in which a wave crosses the body. The period is infinite if liquid surrounds
+        the contact area.
         """
         _, rims, areas = np.asarray(self._rims.numpy(), np.float64).T
         dry = (areas > 0) & (rims < 2 * np.sqrt(areas))
