@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import tyro
 
@@ -65,8 +66,7 @@ class Validate:
         """
         chosen = self._chosen()
         if self.list:
-            for each in chosen:
-                print(f"{each.name:<16}{each.title}{' (quick)' if each.quick else ''}")
+            print(json.dumps(_list(chosen)) if self.json else "\n".join(_lines(chosen)))
             return 0
         refuse_threads(self.jobs)
         self._refuse_docs()
@@ -129,6 +129,15 @@ class Validate:
                 write_whole(folder / "experiments.json", json.dumps(rows, indent=1))
                 page = folder / "experiments.md"
                 save_page(done, page, folder / "plots", machine=_machine())
+
+
+def _list(chosen: Sequence[Experiment]) -> list[dict[str, Any]]:
+    names = ("name", "title", "measured", "quick")
+    return [{name: getattr(each, name) for name in names} for each in chosen]
+
+
+def _lines(chosen: Sequence[Experiment]) -> list[str]:
+    return [f"{e.name:<20}{e.title}{' (quick)' if e.quick else ''}" for e in chosen]
 
 
 def _summary(done: Sequence[Outcome]) -> str:

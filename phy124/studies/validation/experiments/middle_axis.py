@@ -1,5 +1,6 @@
 """Experiment: a body that spins about its axis of intermediate inertia flips repeatedly."""
 
+import math
 from collections.abc import Sequence
 from functools import partial
 
@@ -45,13 +46,13 @@ def moments(edges: Sequence[float]) -> NDArray[np.float64]:
 
 
 def find_turns(times: NDArray, spins: NDArray) -> Values:
-    """Return the times of the first two flips [s]; NaN for a flip that does not occur.
+    """Return the times of the first two flips [s]; infinity for a flip that does not occur.
 
     At a flip, the spin about the axis of intermediate inertia is zero. The spins [T] are sampled at
     `times` [T], s.
     """
     turns = find_zeros(times, spins)[:2]
-    return (*turns.tolist(), *[float("nan")] * (2 - len(turns)))
+    return (*turns.tolist(), *[math.inf] * (2 - len(turns)))
 
 
 def exact() -> Values:

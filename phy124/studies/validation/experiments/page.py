@@ -127,14 +127,15 @@ bodies are simulated on lattices; experiments whose names end in `-mpm` repeat t
   the control must be outside the band by more than the error on this grid (*leaves*). If all
   quantities stayed inside, the experiment could not detect the mistake, and agreement would prove
   nothing.
-- **Values outside their band** are marked, with the reason if it is known.
+- **Values outside their band** are marked, with the reason if it is known. `phy124 validate` fails
+  if a deviation is larger than the largest known deviation of the quantity.
 """
 
 
 def summary(outcome: Outcome) -> str:
     """Describe the outcome of an experiment in one line."""
     name, verdict = outcome.experiment.name, outcome.verdict
-    return f"{name:<16}{verdict:<22}{outcome.seconds:7.1f} s"
+    return f"{name:<20}{verdict:<22}{outcome.seconds:7.1f} s"
 
 
 def details(outcome: Outcome) -> list[str]:
@@ -148,9 +149,20 @@ def details(outcome: Outcome) -> list[str]:
             f"{_number(each.value):>8} ± {_number(each.error):<8} published {_band(each)}"
             f"{'; control ' + seen if seen else ''}"
         )
-    if outcome.missed and outcome.experiment.reason:
-        rows.append(f"    why: {outcome.experiment.reason}")
-    return rows
+    return rows + [f"    why: {why}" for why in _explain(outcome)]
+
+
+def _explain(outcome: Outcome) -> list[str]:
+    """Return the reason for known deviations, and a sentence for each new deviation."""
+    experiment, new = outcome.experiment, outcome.new
+    reasons = [experiment.reason] if len(new) < len(outcome.missed) else []
+    for each in new:
+        known = 100 * experiment.known.get(each.quantity.name, 0.0)
+        reasons.append(
+            f"The deviation of {each.quantity.name}, {100 * each.deviation:+.1f} %, is new; the "
+            f"largest known deviation is {known:+.1f} %."
+        )
+    return reasons
 
 
 def data(outcome: Outcome) -> dict[str, Any]:
@@ -163,6 +175,7 @@ def data(outcome: Outcome) -> dict[str, Any]:
         "seconds": round(outcome.seconds, 2),
         "grids": list(outcome.experiment.grids),
         "failures": list(outcome.failures),
+        "new": [each.quantity.name for each in outcome.new],
         "quantities": [_row(each) for each in outcome.estimates],
     }
 
@@ -172,13 +185,18 @@ def _row(each: Estimate) -> dict[str, Any]:
         "name": each.quantity.name,
         "published": each.quantity.published,
         "band": [each.quantity.low, each.quantity.high],
-        "levels": list(each.levels),
-        "value": each.value,
-        "error": each.error,
+        "levels": [_finite(level) for level in each.levels],
+        "value": _finite(each.value),
+        "error": _finite(each.error),
         "order": each.order,
         "inside": each.inside,
-        "control": None if math.isnan(each.control) else each.control,
+        "control": _finite(each.control),
     }
+
+
+def _finite(value: float) -> float | None:
+    """Return None instead of NaN and infinity, which JSON does not have."""
+    return value if math.isfinite(value) else None
 
 
 def save_page(
@@ -239,8 +257,7 @@ def _section(outcome: Outcome, link: str) -> str:
         f"- Cells across {e.across}: {', '.join(map(str, e.grids))}; CPU time of all runs: "
         f"{outcome.seconds:.0f} s.",
     ]
-    if outcome.missed:
-        lines.append(f"- **Outside:** {e.reason or 'the reason is not known.'}")
+    lines += [f"- **Outside:** {why}" for why in _explain(outcome)]
     if outcome.failures:
         return "\n".join([*lines, *(f"- **Failed:** {each}" for each in outcome.failures), ""])
     unit = f" [{e.unit}]" if e.unit else ""
