@@ -84,6 +84,8 @@ def test_every_experiment_is_declared_whole():
         assert all(math.isfinite(q.low) and q.low < q.high for q in quantities), each.name
         assert list(each.grids) == sorted(set(each.grids)), each.name
         assert bool(each.axis) == all(q.at is not None for q in quantities), each.name
+        assert {*each.known} <= {q.name for q in quantities}, each.name
+        assert bool(each.known) == bool(each.reason), each.name
     assert sum(each.quick for each in EXPERIMENTS) >= len(EXPERIMENTS) // 2
 
 
@@ -191,10 +193,42 @@ def test_missed_band_is_reported_and_needs_a_reason():
     off = made(run=lambda cells: (0.3 + cells**-2 / 100,))
     missed = result(off)
     assert not missed.estimates[0].inside and not missed.good
-    explained = result(made(run=off.run, reason="it leaks"))
-    assert explained.good
+    assert "+20.0 %, is new; the largest known deviation is +0.0 %" in "\n".join(details(missed))
+    explained = result(made(run=off.run, reason="it leaks", known={QUARTER.name: 0.21}))
+    assert explained.good and data(explained)["new"] == []
     said = "\n".join(details(explained))
-    assert "OUTSIDE" in said and "it leaks" in said
+    assert "OUTSIDE" in said and "it leaks" in said and "new" not in said
+
+
+@pytest.mark.parametrize("value", [0.75, 0.2], ids=["too large", "too small"])
+def test_a_reason_does_not_excuse_other_deviations(value):
+    off = made(run=lambda cells: (value,), reason="it leaks", known={QUARTER.name: 0.21})
+    seen = result(off)
+    assert not seen.good and data(seen)["new"] == [QUARTER.name]
+
+
+def test_shear_of_a_beam_is_that_of_timoshenko():
+    """Integrals of bending moments and of shear forces, with nu = 0 and k = 5/6."""
+    s = (np.arange(20_000) + 0.5) / 20_000 * beam.LENGTH
+    rigidity = 5 / 6 * beam.E / 2 * beam.THICKNESS
+    for shear, moment, force in (
+        (beam.TIP_SHEAR, s, np.ones_like(s)),
+        (beam.OWN_SHEAR, s**2 / 2, s),
+    ):
+        bent, sheared = (moment * s / beam.STIFFNESS).mean(), (force / rigidity).mean()
+        assert shear * (beam.THICKNESS / beam.LENGTH) ** 2 == pytest.approx(
+            sheared / bent, rel=1e-6
+        )
+    tip = beam.ELASTICA.published()[0]
+    assert tip.high / tip.published == pytest.approx(1 + (1.2 + 0.2 / 12) / 144)
+
+
+def test_a_control_that_is_not_measured_does_not_leave():
+    unmeasured = result(made(control=lambda cells: (math.nan,)))
+    assert not unmeasured.control_holds and not unmeasured.good
+    assert middle_axis.find_turns(np.array([0.0, 1.0]), np.ones(2)) == (math.inf, math.inf)
+    late = result(made(control=lambda cells: (math.inf,)))
+    assert late.control_holds and json.loads(json.dumps(data(late), allow_nan=False))
 
 
 def test_a_control_that_stays_inside_is_a_failure():
