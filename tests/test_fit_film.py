@@ -50,6 +50,17 @@ def test_pictures_are_kept_small(tmp_path):
     assert film.masks.mean() == pytest.approx(1 / 6, rel=0.06)
 
 
+@pytest.mark.parametrize("ending", ["gif", "webp"])
+def test_animations_have_the_frame_rate_of_their_file(tmp_path, ending):
+    first, *others = [
+        Image.open(path) for path in sorted(film_of(tmp_path / "film", [10, 20, 30]).iterdir())
+    ]
+    path = tmp_path / f"film.{ending}"
+    first.save(path, save_all=True, append_images=others, duration=40, lossless=True)
+    film = read_film(path)
+    assert film.fps == pytest.approx(25) and len(film.masks) == 3
+
+
 def test_errors_of_a_block_are_correlated_in_all_frames():
     groups = _blocks((3, 16, 24)).reshape(3, 16, 24)
     assert np.array_equal(groups[0], groups[2]) and np.array_equal(np.unique(groups), range(6))

@@ -110,11 +110,12 @@ def _read_animation(path: Path) -> tuple[list[NDArray], float | None]:
 
     try:
         with Image.open(path) as file:
-            seconds = [
-                frame.info.get("duration", 0) / 1000 for frame in ImageSequence.Iterator(file)
-            ]
-            _refuse_endless(path, len(seconds))
-            pictures = [_shrink(frame) for frame in ImageSequence.Iterator(file)]
+            _refuse_endless(path, getattr(file, "n_frames", 1))
+            pictures, seconds = [], []
+            for frame in ImageSequence.Iterator(file):
+                pictures.append(_shrink(frame))
+                # Pillow reads the duration of a WebP frame when the frame is decoded.
+                seconds.append(frame.info.get("duration", 0) / 1000)
     except InputError:
         raise
     except Exception:  # Pillow raises exceptions of many types.
