@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import runpy
 import threading
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
@@ -212,6 +213,26 @@ def test_fetch_without_a_folder_fills_the_cache(hub, tmp_path, monkeypatch):
     monkeypatch.setattr(constants, "HF_HUB_CACHE", str(tmp_path / "hub"))
     (path,) = fetch("toy", endpoint=hub.endpoint)
     assert path.read_bytes() == CONTENT and find(TOY) == path
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"XDG_CACHE_HOME": "~/x"},
+        {"XDG_CACHE_HOME": "/x", "HF_HOME": "$PWD/h"},
+        {"HF_HOME": "/h", "HUGGINGFACE_HUB_CACHE": "/legacy"},
+        {"HUGGINGFACE_HUB_CACHE": "/legacy", "HF_HUB_CACHE": "/hub"},
+    ],
+)
+def test_the_cache_is_that_of_huggingface_hub(monkeypatch, changes):
+    from huggingface_hub import constants
+
+    for name in ("XDG_CACHE_HOME", "HF_HOME", "HUGGINGFACE_HUB_CACHE", "HF_HUB_CACHE"):
+        monkeypatch.delenv(name, raising=False)
+    for name, value in changes.items():
+        monkeypatch.setenv(name, value)
+    assert str(weights.hub_cache()) == runpy.run_path(constants.__file__)["HF_HUB_CACHE"]
 
 
 def test_fetch_resumes_where_it_broke_off(hub, tmp_path, monkeypatch):

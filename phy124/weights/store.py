@@ -51,9 +51,11 @@ def search_first(folder: str | os.PathLike[str] | None) -> Iterator[None]:
 
 
 def hub_cache() -> Path:
-    """Return the folder of the Hugging Face cache."""
-    home = os.environ.get("HF_HOME", "~/.cache/huggingface")
-    return Path(os.path.expanduser(os.environ.get("HF_HUB_CACHE", os.path.join(home, "hub"))))
+    """Return the folder of the Hugging Face cache, by the rules of huggingface_hub."""
+    get = os.environ.get
+    home = get("HF_HOME", os.path.join(get("XDG_CACHE_HOME", "~/.cache"), "huggingface"))
+    folder = get("HF_HUB_CACHE", get("HUGGINGFACE_HUB_CACHE", os.path.join(home, "hub")))
+    return Path(os.path.expandvars(os.path.expanduser(folder)))
 
 
 def list_places(file: WeightFile, folder: str | os.PathLike[str] | None = None) -> Iterator[Path]:
