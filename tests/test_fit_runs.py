@@ -16,6 +16,7 @@ from phy124.studies.fit.budget import Budget
 from phy124.studies.fit.declaration import Fit
 from phy124.studies.fit.estimate import Estimate
 from phy124.studies.fit.report import format_table, make_report
+from phy124.studies.fit.running import SCENE, fit
 from phy124.studies.fit.runs import Runs
 from phy124.studies.fit.target import Target
 from support.clips import falling
@@ -147,6 +148,14 @@ def test_a_path_that_is_no_field_is_refused_before_any_run(tmp_path):
     with pytest.raises(InputError, match=r"material\.nu"):
         Runs(cast(Target, _named("material.nu")), tmp_path, Budget(60))
     assert not any(tmp_path.iterdir())
+
+
+def test_a_fit_does_not_replace_a_scene_that_it_reads(tmp_path):
+    scene = tmp_path / SCENE
+    scene.write_text(Scene().to_toml())
+    options = {"target": str(tmp_path), "scene": str(scene), "find": {"material.E": "1e4..1e5"}}
+    with pytest.raises(InputError, match="name of a file that this command reads"):
+        fit(Fit.from_data(options), tmp_path)
 
 
 def _named(path):

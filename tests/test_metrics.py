@@ -177,6 +177,10 @@ def test_physics_of_exact_free_fall():
     assert p.travelled == pytest.approx(math.hypot(0.625, 0.21289) / size, rel=0.03)
 
 
+def test_physics_of_one_gaussian_is_in_metres():
+    assert measure_physics(falling(count=1)).travelled == pytest.approx(0.21289, rel=0.01)
+
+
 def test_physics_sees_cheats():
     honest = falling()
     frozen = falling()
@@ -252,6 +256,14 @@ def test_command_line_evaluates_a_clip(tiny_clip, tmp_path, capsys, monkeypatch)
     assert main([*arguments, "--clip-model", str(tmp_path)]) == 2
     assert "not a CLIP model" in capsys.readouterr().err
     assert main([*arguments, "--clip-model", "none"]) == 0
+    capsys.readouterr()
+    for wrong, reason in (
+        (["--out", str(path)], "name of a file that this command reads"),
+        (["--size", "0"], "view.size"),
+        (["--elevation", "nan"], "view.elevation"),
+    ):
+        assert main(["evaluate", str(path), *wrong]) == 2 and reason in capsys.readouterr().err
+    assert len(Clip.load(path)) == 3
 
 
 def test_documentation_names_the_options_and_figures_there_are():

@@ -13,7 +13,7 @@ from phy124.commands.bars import Bars
 from phy124.commands.options import Device
 from phy124.errors import InputError
 from phy124.io.clip import Clip
-from phy124.io.files import replacing
+from phy124.io.files import refuse_replacing, replacing
 from phy124.metrics import evaluate, similarity
 from phy124.progress import Progress
 from phy124.rendering.film import cameras
@@ -48,13 +48,19 @@ class Evaluate:
     """Print only the figures, as JSON."""
 
     def run(self) -> int:
-        """Measure the clip; print the table and write evaluation.json."""
-        clip = Clip.load(self.clip)
+        """Measure the clip; print the table and write evaluation.json.
+
+        Raises:
+            InputError: The clip or an option cannot be used, or `out` is the clip.
+        """
         out = self.out or self.clip.parent / "evaluation.json"
+        refuse_replacing(out, [self.clip])
+        clip = Clip.load(self.clip)
+        view = self._view(clip)
         weights, bars = search_first(self.weights), Bars(quiet=self.json)
         with replacing(out) as path, weights, bars:  # refuses an unwritable file
             model, missing = self._model()
-            videos = self._videos(clip, bars)
+            videos = self._videos(clip, view, bars)
             result = evaluate(clip, videos, model=model, missing=missing)
             pictures = {"size": self.size, "elevation": self.elevation}
             data = {"clip": str(self.clip), **result.data(), "pictures": pictures}
@@ -76,16 +82,17 @@ class Evaluate:
                 raise
             return None, str(error)
 
-    def _videos(self, clip: Clip, progress: Progress) -> dict[str, np.ndarray]:
-        """Render the clip from the four sides that the Phy124 paper uses: pictures [T,S,S,3]."""
-        view = Scene.of_clip(clip.scene, str(self.clip)).view
+    def _view(self, clip: Clip) -> View:
         usual = {
-            "size": (self.size, self.size),
-            "elevation": self.elevation,
-            "fit": False,
-            "stage": "plain",
+            "view.size": (self.size, self.size),
+            "view.elevation": self.elevation,
+            "view.fit": False,
+            "view.stage": "plain",
         }
-        view = view.model_copy(update=usual)
+        return Scene.of_clip(clip.scene, str(self.clip)).replaced(usual).view
+
+    def _videos(self, clip: Clip, view: View, progress: Progress) -> dict[str, np.ndarray]:
+        """Render the clip from the four sides that the Phy124 paper uses: pictures [T,S,S,3]."""
         device = pick_device(self.device)
         return {
             name: np.stack([*self._video(clip, view, name, device, progress)]) for name in VIEWS

@@ -29,7 +29,7 @@ class Physics:
     motion. None if the clip has no velocities.
     """
     travelled: float
-    """Length of the path of the object's centre [object sizes]; 0 for a frozen clip."""
+    """Length of the path of the object's centre [object sizes]; [m] if the object is a point."""
     finite: bool
     """Whether all positions, rotations and scales are finite in all frames."""
 
@@ -44,7 +44,7 @@ def measure_physics(clip: Clip) -> Physics:
         centres.append(arrays[0].mean(axis=0, dtype=np.float64))
         finite &= all(bool(np.isfinite(array).all()) for array in arrays)
     ratio, path = np.array(volumes) / volumes[0], np.array(centres)
-    size = float(np.ptp(clip.means[0], axis=0).max())
+    size = float(np.ptp(clip.means[0], axis=0).max()) or 1.0
     steps = np.linalg.norm(np.diff(path, axis=0), axis=1)
     return Physics(
         mass=clip.report.get("mass"),

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from phy124.io.clip import Clip
-from phy124.io.files import staging, write_whole
+from phy124.io.files import refuse_replacing, staging, write_whole
 from phy124.io.video import refuse_missing_encoder
 from phy124.pipeline import write_json
 from phy124.progress import Progress, silent
@@ -59,8 +59,11 @@ def fit(
 
     Raises:
         InputError: An input is invalid, a value cannot be determined, the time budget is too short,
-            or the folder cannot be written.
+            the folder cannot be written, or an input would be overwritten.
     """
+    read = [declared.target, declared.object, declared.scene, declared.forces]
+    for name in (SCENE, REPORT, SHEET, FILM, PAGE):
+        refuse_replacing(out / name, [Path(each) for each in read if each is not None])
     with staging(out):  # An unusable folder is refused before any run.
         pass
     target = Target(declared)
