@@ -36,7 +36,7 @@ from phy124.studies.fit.observation import (
 )
 from phy124.studies.fit.points import Points
 from phy124.studies.fit.problem import Distance, differentiate
-from phy124.studies.fit.search import refine
+from phy124.studies.fit.search import Start, refine, search
 from phy124.studies.fit.target import Target
 from support.clips import falling
 from support.pages import PAGES, blocks
@@ -91,6 +91,17 @@ def test_a_damped_oscillator_is_found_on_an_infinitely_fine_grid():
     assert abs(limit[0] - TRUTH[0]) < 0.2 * abs(result.places[1][0] - TRUTH[0])
     assert np.array_equal(result.on(24)[0], result.places[1])
     assert problem.calls[1] < problem.calls[0] / 4, "the finer grid is for the last steps only"
+
+
+def test_a_search_out_of_time_keeps_the_best_point_of_all():
+    """One generation around an excellent start is worse than the start."""
+    problem = Oscillator(noise=0)
+    distance = Distance(problem)
+    start = Start(TRUTH + 1e-4, distance.cost(problem.predict([TRUTH + 1e-4], 0)[0]))
+    problem.late = lambda part: problem.calls[0] > 1
+    best = search(problem, distance, start, 0)
+    assert problem.calls[0] > 1 and distance.cost(problem.predict([best], 0)[0]) <= start.cost
+    assert distance.cost(np.full(len(problem.measured), np.nan)) == distance.cost(None)
 
 
 def covered(seeds):

@@ -66,7 +66,7 @@ def estimate(problem: Problem, *, seed: int = 0) -> Estimate:
     """
     distance = Distance(problem)
     start = screen(problem, distance, seed)
-    _refuse_unseen(problem, distance, differentiate(problem, start, 0, STEP))
+    _refuse_unseen(problem, distance, differentiate(problem, start.place, 0, STEP))
     best = search(problem, distance, start, seed)
     slopes = differentiate(problem, best, 0, STEP)
     _refuse_unseen(problem, distance, slopes)

@@ -11,6 +11,8 @@ from phy124.studies.fit.observation import Groups, Kind, Values
 
 Places = Sequence[Values]
 """Points in the unit cube: each value is a fraction of its range [P]."""
+FAILED = 1e12
+"""Cost of a failed run."""
 
 
 class Problem(Protocol):
@@ -72,10 +74,13 @@ class Distance:
         return self._weights[:, None] * jacobian
 
     def cost(self, predicted: Values | None) -> float:
-        """Return half the sum of squared weighted differences; 1e12 for a failed run."""
+        """Return half the sum of squared weighted differences; 1e12 for a failed run, and if a
+        predicted value is not finite.
+        """
         if predicted is None:
-            return 1e12
-        return 0.5 * float(np.sum(self.residual(predicted) ** 2))
+            return FAILED
+        cost = 0.5 * float(np.sum(self.residual(predicted) ** 2))
+        return cost if np.isfinite(cost) else FAILED
 
     def misfits(self, predicted: Values) -> list[float]:
         """Return the RMS difference of each kind, in its unit."""

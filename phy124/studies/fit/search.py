@@ -20,7 +20,14 @@ GENERATIONS = 60
 """Maximum number of generations of CMA-ES."""
 
 
-def screen(problem: Problem, distance: Distance, seed: int) -> Values:
+class Start(NamedTuple):
+    """The initial point of a search."""
+
+    place: Values
+    cost: float
+
+
+def screen(problem: Problem, distance: Distance, seed: int) -> Start:
     """Evaluate points that fill the ranges evenly; return the best point.
 
     Raises:
@@ -36,7 +43,8 @@ def screen(problem: Problem, distance: Distance, seed: int) -> Values:
     if all(prediction is None for prediction in seen):
         limit = "all runs in these ranges fail."
         raise InputError("find", ", ".join(problem.names), limit, "Choose other ranges.")
-    return drawn[int(np.argmin(costs))]
+    best = int(np.argmin(costs))
+    return Start(drawn[best], costs[best])
 
 
 def log2_screened(count: int) -> int:
@@ -49,13 +57,13 @@ def generation_size(count: int) -> int:
     return 2 * ((5 + int(3 * np.log(count))) // 2)
 
 
-def search(problem: Problem, distance: Distance, start: Values, seed: int) -> Values:
+def search(problem: Problem, distance: Distance, start: Start, seed: int) -> Values:
     """Search for the point with the smallest cost on the coarsest grid.
 
     Args:
         problem: The problem.
         distance: The cost function.
-        start: The initial point [P].
+        start: The initial point.
         seed: Seed of the random generations.
 
     Raises:
@@ -70,14 +78,14 @@ def search(problem: Problem, distance: Distance, start: Values, seed: int) -> Va
         raise InputError(
             "fit", "cma", "the package cma is not installed.", f"Run {command}."
         ) from None
-    count = len(start)
+    best, least = start
+    count = len(best)
     # CMA-ES needs at least two coordinates; a second coordinate without effect costs little.
-    begin = start if count > 1 else np.append(start, 0.5)
+    begin = best if count > 1 else np.append(best, 0.5)
     options = {"bounds": [0, 1], "seed": seed + 1, "popsize": generation_size(count)}
     options |= {"tolx": SETTLED, "maxiter": GENERATIONS}
     options |= {"verbose": -9, "verb_disp": 0, "verb_log": 0}
     strategy = cma.CMAEvolutionStrategy(begin, START, options)
-    best, least = start, np.inf
     while not strategy.stop() and not problem.late(PART):
         asked = strategy.ask()
         places = [np.asarray(place[:count], float) for place in asked]
