@@ -38,8 +38,8 @@ from phy124.studies.sweep.cost import Expected
 from phy124.studies.sweep.dataset import pack
 from phy124.studies.sweep.keys import Seen, key_of
 from phy124.studies.sweep.manifest import read_manifest
-from phy124.studies.sweep.report import format_lines, write_page
-from phy124.studies.sweep.storage import Storage
+from phy124.studies.sweep.report import format_lines, summarise, write_page
+from phy124.studies.sweep.storage import Storage, list_matching
 from phy124.studies.sweep.work import needs_of, write_row
 from support.pages import ROOT, blocks
 from support.processes import clips_of
@@ -186,7 +186,7 @@ def test_failed_clip_is_a_row_and_others_continue(balls, tmp_path):
     assert counts.ended == {"done": 1, "refused": 3}
     rows = {row["index"]: row for row in read_manifest(Storage(str(tmp_path / "out")))}
     assert "material.nu = 0.7" in rows[1]["sentence"] and "broken.ply" in rows[2]["sentence"]
-    text = "\n".join(format_lines(Storage(str(tmp_path / "out"))))
+    text = "\n".join(format_lines(summarise(Storage(str(tmp_path / "out")))))
     assert "1 done, 3 refused" in text and "material.nu = 0.7" in text
 
 
@@ -330,7 +330,7 @@ def test_tar_files_hold_clips_beside_their_rows(made):
 
 def test_the_report_has_a_picture_of_each_clip(made):
     storage = Storage(str(made))
-    text = "\n".join(format_lines(storage))
+    text = "\n".join(format_lines(summarise(storage)))
     assert text.startswith("6 clips: 6 done") and "by material.E:" in text
     assert "wall time per clip, with compilation [s]" in text
     expected = [row["expected_error"] for row in read_manifest(storage)]
@@ -340,6 +340,22 @@ def test_the_report_has_a_picture_of_each_clip(made):
     assert "error bound measured for the clip" not in text  # these clips are too short for one
     page = Path(write_page(storage)).read_text()
     assert page.count("<img") == 6 and "largest force on a wall" in page
+
+
+def test_the_report_is_printed_as_json(made, capsys):
+    assert main(["sweep", "report", str(made), "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["clips"] == 6 and report["statuses"] == {"done": 6}
+    assert next(iter(report["by"]["material.E"].values()))[0] == 2
+    assert len(report["measures"]["seconds.clip"]) == 3 and Path(report["page"]).is_file()
+
+
+def test_the_name_of_an_existing_file_is_no_pattern(tmp_path):
+    for name in ("duck [1].png", "duck 1.png"):
+        (tmp_path / name).touch()
+    picture = str(tmp_path / "duck [1].png")
+    assert list_matching(picture) == [picture]
+    assert list_matching(str(tmp_path / "duck [0-9].png")) == [str(tmp_path / "duck 1.png")]
 
 
 def test_cost_is_predicted_from_a_few_clips(balls):

@@ -16,7 +16,7 @@ from phy124.runtime.device import pick_device
 from phy124.studies.sweep import Counts, Plan, forecast_sweep, list_refused, run
 from phy124.studies.sweep import Sweep as Declared
 from phy124.studies.sweep.dataset import pack
-from phy124.studies.sweep.report import format_lines, write_page
+from phy124.studies.sweep.report import format_lines, summarise, write_page
 from phy124.studies.sweep.storage import Storage
 
 
@@ -90,8 +90,11 @@ class Sweep:
             limit = "report needs the folder of a sweep."
             raise InputError("folder", None, limit, "Write phy124 sweep report DIR.")
         storage = Storage(self.folder)
-        print("\n".join(format_lines(storage)))
-        print(write_page(storage))
+        summary, page = summarise(storage), write_page(storage)
+        if self.json:
+            print(json.dumps({**summary, "page": page}))
+        else:
+            print("\n".join([*format_lines(summary), page]))
         return 0
 
     def _predict(self, plan: Plan, device: str) -> int:

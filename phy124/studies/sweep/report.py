@@ -38,26 +38,45 @@ figcaption { font-size: 11px; overflow-wrap: anywhere; }
 """
 
 
-def format_lines(storage: Storage) -> list[str]:
-    """Return the report as lines of text for the terminal.
+def summarise(storage: Storage) -> dict[str, Any]:
+    """Return the report as plain data.
+
+    `measures` has the percentiles 5, 50 and 95 of each measure, and `by` has the number of clips
+    and their mean time [s] for each value of each axis.
 
     Raises:
         InputError: The folder contains no results of a sweep.
     """
     rows = read_manifest(storage)
     done = [row for row in rows if row["status"] == "done"]
-    lines = [f"{len(rows)} clips: {_count(rows)}"]
+    return {
+        "clips": len(rows),
+        "statuses": _statuses(rows),
+        "measures": {
+            name: np.percentile(values, [5, 50, 95]).tolist()
+            for name, _ in MEASURES
+            if len(values := _values(done, name))
+        },
+        "by": {
+            name: {value: [len(group), _mean_seconds(group)] for value, group in groups.items()}
+            for name, groups in _by_axis(done)
+        },
+        "reasons": dict(_reasons(rows).most_common()),
+    }
+
+
+def format_lines(summary: dict[str, Any]) -> list[str]:
+    """Format the data of `summarise` as lines of text for the terminal."""
+    lines = [f"{summary['clips']} clips: {_count(summary['statuses'])}"]
     for name, words in MEASURES:
-        values = _values(done, name)
-        if len(values):
-            low, mid, high = np.percentile(values, [5, 50, 95])
+        if values := summary["measures"].get(name):
+            low, mid, high = values
             lines.append(f"  {words:<42} median {mid:.4g}, 5 to 95 %: {low:.4g} to {high:.4g}")
-    for name, groups in _by_axis(done):
+    for name, groups in summary["by"].items():
         lines.append(f"  by {name}:")
-        for value, group in groups.items():
-            cost = np.mean(_values(group, "seconds.clip"))
-            lines.append(f"    {value:<40.40} {len(group):6} clips, {cost:.3g} s each")
-    lines += [f"  {count} x {why}" for why, count in _reasons(rows).most_common(10)]
+        for value, (count, seconds) in groups.items():
+            lines.append(f"    {value:<40.40} {count:6} clips, {seconds:.3g} s each")
+    lines += [f"  {count} x {why}" for why, count in [*summary["reasons"].items()][:10]]
     return lines
 
 
@@ -70,7 +89,7 @@ def write_page(storage: Storage) -> str:
     rows = read_manifest(storage)
     done = [row for row in rows if row["status"] == "done"]
     parts = [
-        f"<h1>{len(rows)} clips</h1><p>{html.escape(_count(rows))}</p>",
+        f"<h1>{len(rows)} clips</h1><p>{html.escape(_count(_statuses(rows)))}</p>",
         *(_distribution(words, _values(done, name)) for name, words in MEASURES),
         *(_table(name, groups) for name, groups in _by_axis(done)),
         _refusals(_reasons(rows)),
@@ -85,9 +104,16 @@ def write_page(storage: Storage) -> str:
     return storage.place(PAGE)
 
 
-def _count(rows: Iterable[Row]) -> str:
-    counts = Counter(row["status"] for row in rows)
-    return ", ".join(f"{count} {status}" for status, count in sorted(counts.items()))
+def _statuses(rows: Iterable[Row]) -> dict[str, int]:
+    return dict(sorted(Counter(row["status"] for row in rows).items()))
+
+
+def _mean_seconds(rows: Iterable[Row]) -> float:
+    return float(np.mean(_values(rows, "seconds.clip")))
+
+
+def _count(statuses: dict[str, int]) -> str:
+    return ", ".join(f"{count} {status}" for status, count in statuses.items())
 
 
 def _values(rows: Iterable[Row], name: str) -> Any:
@@ -124,7 +150,7 @@ def _distribution(words: str, values: Any) -> str:
 def _table(name: str, groups: dict[str, list[Row]]) -> str:
     rows = "".join(
         f"<tr><td>{html.escape(value)}</td><td>{len(group)}</td>"
-        f"<td>{np.mean(_values(group, 'seconds.clip')):.3g}</td></tr>"
+        f"<td>{_mean_seconds(group):.3g}</td></tr>"
         for value, group in groups.items()
     )
     head = f"<tr><th>{html.escape(name)}</th><th>clips</th><th>seconds each</th></tr>"

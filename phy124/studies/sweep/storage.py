@@ -142,12 +142,15 @@ def stamp(address: str) -> object:
 def list_matching(pattern: str) -> list[str]:
     """Return the sorted addresses of all files that match a path or pattern.
 
+    The name of an existing file is no pattern, even if it has brackets.
+
     Raises:
         InputError: No file matches the pattern, or the folder cannot be read.
     """
     files, path = _open(pattern)
     try:
-        matches = sorted(str(match) for match in files.glob(path) if not files.isdir(match))
+        found = [path] if files.isfile(path) else files.glob(path)
+        matches = sorted(str(match) for match in found if not files.isdir(match))
     except OSError as error:
         limit = f"its folder cannot be read ({error})."
         raise InputError(
