@@ -2,6 +2,8 @@ import json
 import re
 import sys
 from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ from phy124.__main__ import main
 from phy124.accuracy.convergence import Convergence
 from phy124.accuracy.promises import Promise, format_percent
 from phy124.commands.accuracy import KEPT, ShowAccuracy
+from phy124.commands.cutout import PictureOptions
 from phy124.errors import Cancelled, InputError
 from phy124.io.ply import write_ply
 from phy124.monitor.tearing import Tearing
@@ -432,6 +435,14 @@ def test_study_on_the_command_line(tmp_path, capsys, monkeypatch, levels_alone):
     assert made >= {"accuracy.json", "accuracy.html"}
     assert main(["accuracy"]) == 2
     assert "nothing to study" in capsys.readouterr().err
+
+
+def test_a_proposed_command_keeps_the_options_of_the_picture():
+    making = PictureOptions(generator="triposr", gaussians=5000)
+    study = ShowAccuracy("press", Path("duck.png"), making=making)
+    report = SimpleNamespace(rows=[SimpleNamespace(cells=n, level=True, torn="") for n in LEVELS])
+    advice = study._advice(LEVELS, report, 2.0)
+    assert "--image duck.png --generator triposr --gaussians 5000 --levels 12 16 24" in advice
 
 
 def test_missing_matplotlib_is_a_note(tmp_path, capsys, monkeypatch):

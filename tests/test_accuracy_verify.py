@@ -7,6 +7,7 @@ import pytest
 import warp as wp
 
 from phy124.__main__ import main
+from phy124.commands import accuracy
 from phy124.kernels.forces import make_vortex
 from phy124.materials import NeoHookean
 from phy124.studies.validation.accuracy import problems, verify
@@ -15,7 +16,7 @@ from phy124.studies.validation.accuracy.verify import CHECKS, Verdict
 
 @pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.__name__)
 def test_known_answers_on_coarse_grids(check):
-    verdicts = list(check(False))
+    verdicts = list(check(False, "cpu"))
     assert verdicts
     assert all(verdict.passed for verdict in verdicts), verdicts
 
@@ -23,7 +24,7 @@ def test_known_answers_on_coarse_grids(check):
 @pytest.mark.slow
 @pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.__name__)
 def test_known_answers_on_fine_grids(check):
-    verdicts = list(check(True))
+    verdicts = list(check(True, "cpu"))
     assert verdicts
     assert all(verdict.passed for verdict in verdicts), verdicts
 
@@ -40,7 +41,7 @@ def test_a_wrong_answer_and_a_wrong_order_fail():
 def test_bar_with_a_wrong_frequency_is_detected(monkeypatch):
     exact = problems.bar_frequency
     monkeypatch.setattr(problems, "bar_frequency", lambda *args: 1.02 * exact(*args))
-    (verdict,) = verify.vibrating_bar(False)
+    (verdict,) = verify.vibrating_bar(False, "cpu")
     assert not verdict.passed
 
 
@@ -112,6 +113,22 @@ def test_order_is_in_the_material_not_in_the_problem():
     """The vortex holds for any stiffness: a twice as stiff ring is as accurate."""
     stiff = problems.Vortex(material=NeoHookean(E=2000.0, nu=0.3, density=1000.0))
     assert problems.vortex(32, problem=stiff) < 0.05
+
+
+def test_verification_runs_on_the_selected_device(monkeypatch):
+    seen = []
+    monkeypatch.setattr(verify, "CHECKS", (lambda fine, device: seen.append(device) or (),))
+    monkeypatch.setattr(accuracy, "pick_device", lambda name: f"picked {name}")
+    assert main(["accuracy", "--verify", "--device", "cuda:0"]) == 0
+    assert seen == ["picked cuda:0"]
+
+
+def test_an_error_that_is_nan_on_one_grid_fails(monkeypatch):
+    errors = iter([1e-9, np.nan, 1e-9])
+    monkeypatch.setattr(
+        problems, "hydrostatic_column", lambda *_: dict.fromkeys(("mean", "inside"), next(errors))
+    )
+    assert not any(verdict.passed for verdict in verify.hydrostatic_column(False, "cpu"))
 
 
 def test_verify_on_the_command_line(capsys, monkeypatch):

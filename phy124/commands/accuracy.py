@@ -80,7 +80,7 @@ class ShowAccuracy:
 
         rows = []
         with Bars(quiet=True, keeps=True) as bars, bars.keeping():
-            for verdict in verify():
+            for verdict in verify(device=pick_device(self.device)):
                 rows.append({**verdict.__dict__, "passed": verdict.passed})
                 if not self.json:
                     print(_verdict_line(rows[-1]), flush=True)
@@ -162,7 +162,8 @@ class ShowAccuracy:
             changes = tuple(change for change in changes if not change.startswith(key))
             changes += (f"{key}{per_axis + 1:g}",)
         sources = [self.image, *self.more] if self.image else []
-        options = {"frames": self.frames, "seconds": self.seconds, "levels": grids}
+        options = {**self.making.list_changes(), "frames": self.frames}
+        options |= {"seconds": self.seconds, "levels": grids}
         command = accuracy_command(str(self.scene), sources, options, changes)
         return with_program(f"Try `{command}`.\n")
 

@@ -63,10 +63,10 @@ def fall(position: Array, velocity: Array, time: float) -> Array:
     return position + velocity * time - np.array([0, 0, GRAVITY * time**2 / 2])
 
 
-def free_fall(*, precision: str = "float64", time: float = 0.2) -> float:
+def free_fall(*, precision: str = "float64", time: float = 0.2, device: str = "cpu") -> float:
     """Return the largest position error of a thrown body, divided by the largest displacement."""
     x, v = block(8, 0.4) + np.array([0, 0, 1]), np.array([1.0, 0.5, 2.0])
-    options = {"v": np.tile(v, (len(x), 1)), "dx": 0.1, "precision": precision}
+    options = {"v": np.tile(v, (len(x), 1)), "dx": 0.1, "precision": precision, "device": device}
     solver = make_solver(x, 0.05**3, [NeoHookean(E=1e4)], forces=[Gravity()], **options)
     solver.advance(time)
     error = solver.state.x.numpy() - fall(x, v, time)
@@ -76,11 +76,12 @@ def free_fall(*, precision: str = "float64", time: float = 0.2) -> float:
 # --- rigid spin ----------------------------------------------------------------------------------
 
 
-def spin(turns: float, *, precision: str = "float64") -> tuple[float, float]:
+def spin(turns: float, *, precision: str = "float64", device: str = "cpu") -> tuple[float, float]:
     """Return the relative changes of angular momentum and energy of a freely rotating cube."""
     dx, omega = 0.1, 9.0
     x = block(8, 4 * dx)
-    stiff, options = NeoHookean(E=2e5, nu=0.3), {"dx": dx, "precision": precision}
+    options = {"dx": dx, "precision": precision, "device": device}
+    stiff = NeoHookean(E=2e5, nu=0.3)
     solver = make_solver(x, (dx / 2) ** 3, [stiff], **turning(x, (0, 0, omega)), **options)
     momentum, energy = angular_momentum(solver), _kinetic(solver)
     solver.advance(turns * 2 * math.pi / omega)
@@ -102,7 +103,7 @@ def bar_frequency(E: float, density: float, length: float) -> float:
     return math.pi / length * math.sqrt(E / density)
 
 
-def vibrating_bar(cells: int) -> float:
+def vibrating_bar(cells: int, device: str = "cpu") -> float:
     """Return the signed relative error of the frequency of a free bar's first mode."""
     E, density, length, strain = 1e4, 1000.0, 1.0, 1e-6
     dx = length / cells
@@ -114,7 +115,8 @@ def vibrating_bar(cells: int) -> float:
     v[:, 2] = strain * speed * np.cos(wave * z)
     C[:, 2, 2] = -strain * speed * wave * np.sin(wave * z)
     material = NeoHookean(E=E, nu=0.0, density=density)
-    solver = make_solver(x, dx**3 / 2, [material], v=v, C=C, dx=dx, precision="float64")
+    options = {"dx": dx, "precision": "float64", "device": device}
+    solver = make_solver(x, dx**3 / 2, [material], v=v, C=C, **options)
     period, times, modes = 2 * math.pi / exact, [0.0], [0.0]
 
     def record() -> None:
@@ -182,7 +184,9 @@ class Vortex:
         return [Stage("vortex", record)]
 
 
-def vortex(cells: int, *, time: float = 0.5, problem: Vortex | None = None) -> float:
+def vortex(
+    cells: int, *, time: float = 0.5, problem: Vortex | None = None, device: str = "cpu"
+) -> float:
     """Return the RMS position error of the ring divided by the RMS displacement.
 
     `cells` is the number of cells across the ring's outer diameter.
@@ -193,7 +197,7 @@ def vortex(cells: int, *, time: float = 0.5, problem: Vortex | None = None) -> f
     x = lattice((4 * cells, 4 * cells, 1), spacing, corner) * [1.0, 1, 0]
     radius = np.hypot(x[:, 0], x[:, 1])
     x = x[(radius > problem.inner) & (radius < problem.outer)]
-    options = {"dx": dx, "precision": "float64", "forces": [problem]}
+    options = {"dx": dx, "precision": "float64", "forces": [problem], "device": device}
     solver = make_solver(x, spacing**2 * dx, [problem.material], **options)
     solver.advance(time)
     exact = problem.position(x, time)
@@ -212,7 +216,7 @@ def column_pressure(depth: Array, density: float) -> Array:
     return density * GRAVITY * depth
 
 
-def hydrostatic_column(cells: int) -> dict[str, float]:
+def hydrostatic_column(cells: int, device: str = "cpu") -> dict[str, float]:
     """Return the errors of the pressure in a column at rest, relative to rho g h at the base.
 
     `mean` is the error of the mean pressure. This error is proportional to dx, and arises in the
@@ -230,6 +234,7 @@ def hydrostatic_column(cells: int) -> dict[str, float]:
         dx=dx,
         origin=(0, 0, -FLOOR_NODE * dx),
         precision="float64",
+        device=device,
         forces=[Gravity()],
         boundaries=[Ground(contact="slip"), side, plane()],
     )
@@ -277,21 +282,21 @@ class Bounce:
         inside = (cube**2).sum(axis=1) < (self.diameter / 2) ** 2
         return np.asarray(cube[inside] + [[0, 0, self.drop + self.diameter / 2]], float)
 
-    def run(self, cells: int, spacing: float) -> Array:
+    def run(self, cells: int, spacing: float, device: str = "cpu") -> Array:
         """Return the positions [T,P,3], m, of the ball with `cells` cells across it."""
         x, dx = self.particles(spacing), self.diameter / cells
-        world = {"forces": [Gravity()], "boundaries": [Ground(friction=0.0)]}
+        world = {"forces": [Gravity()], "boundaries": [Ground(friction=0.0)], "device": device}
         origin = (0, 0, -FLOOR_NODE * dx)
         solver = make_solver(x, spacing**3, [self.material], dx=dx, origin=origin, **world)
         times = self.seconds * np.arange(1, self.frames + 1) / self.frames
         return record(solver, times, lambda: host(solver.state.x))
 
 
-def bouncing_ball(cells: Sequence[int]) -> list[Array]:
+def bouncing_ball(cells: Sequence[int], device: str = "cpu") -> list[Array]:
     """Return the positions [T,P,3], m, for each number of cells across the ball.
 
     All grids have the same particles, two per cell and axis on the finest grid.
     """
     problem = Bounce()
     spacing = problem.diameter / (2 * max(cells))
-    return [problem.run(each, spacing) for each in cells]
+    return [problem.run(each, spacing, device) for each in cells]
