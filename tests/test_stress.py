@@ -11,8 +11,9 @@ import pytest
 import warp as wp
 
 from phy124.__main__ import main
-from phy124.studies.validation.stress import CASES, Setting, examine
+from phy124.studies.validation.stress import CASES, Setting, examine, limits
 from phy124.studies.validation.stress.bodies import alike
+from phy124.studies.validation.stress.case import at_least, lower
 from phy124.studies.validation.stress.tips import PIERCED, check_depth, depth_in_body, hairs, needle
 from support.processes import run_program
 
@@ -182,6 +183,14 @@ def test_equal_bits_are_asked_of_a_cpu_only():
         assert alike("x", other, first, Setting(device)).holds == holds
         assert alike("x", first, first, Setting(device)).holds
     assert not alike("x", other, first, Setting("cuda:0", "float64")).holds
+
+
+def test_values_that_become_nan_fail(monkeypatch):
+    """The lowest and the highest of all values are NaN if one of them is."""
+    monkeypatch.setattr(limits, "volume_ratios", lambda solver: np.array([1.0, np.nan]))
+    stack = limits.heavy_on_light(1.0, Setting(), 1e-4)
+    assert np.isnan(stack.min_J) and np.isnan(stack.max_J)
+    assert not at_least("J", lower(1.0, np.nan), 0.9).holds
 
 
 def test_every_case_has_a_sabotage():

@@ -11,7 +11,7 @@ from phy124.materials import Material, NeoHookean
 from phy124.monitor.diagnostics import diagnose
 from phy124.mpm import Solver
 from phy124.studies.validation.bodies import host, make_solver
-from phy124.studies.validation.stress.case import Check, Setting, at_most, equal
+from phy124.studies.validation.stress.case import Check, Setting, at_most, equal, lower
 
 Array = NDArray[np.float64]
 REORDERED = {"float32": 1e-5, "float64": 1e-12}
@@ -129,7 +129,7 @@ class Meter:
         self.last = before.elastic + (before.kinetic + after.kinetic) / 2
         fraction = self.last / self.first if math.isfinite(self.last) else math.inf
         self.max_energy = max(self.max_energy, fraction)
-        self.min_J = min(self.min_J, after.min_J)
+        self.min_J = lower(self.min_J, after.min_J)
         self.end = after
         return fraction
 

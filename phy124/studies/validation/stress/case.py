@@ -3,6 +3,8 @@
 from collections.abc import Callable
 from typing import Any, NamedTuple, SupportsFloat
 
+import numpy as np
+
 from phy124.runtime.failures import failure
 
 
@@ -83,6 +85,16 @@ def examine(case: Case, setting: Setting) -> tuple[Row, list[Check]]:
         "; ".join(f"{check.measured:.3g}" for check in checks),
         verdict,
     ), checks
+
+
+def lower(least: float, value: SupportsFloat) -> float:
+    """Return the lower of two numbers, or NaN if one of them is NaN, which fails every check."""
+    return float(np.minimum(least, float(value)))
+
+
+def higher(most: float, value: SupportsFloat) -> float:
+    """Return the higher of two numbers, or NaN if one of them is NaN, which fails every check."""
+    return float(np.maximum(most, float(value)))
 
 
 def at_most(what: str, measured: SupportsFloat, limit: float) -> Check:

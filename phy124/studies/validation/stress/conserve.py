@@ -20,7 +20,15 @@ from phy124.studies.validation.stress.bodies import (
     steps,
     vibrating,
 )
-from phy124.studies.validation.stress.case import Check, Setting, at_least, at_most, equal
+from phy124.studies.validation.stress.case import (
+    Check,
+    Setting,
+    at_least,
+    at_most,
+    equal,
+    higher,
+    lower,
+)
 
 
 def rest(setting: Setting) -> list[Check]:
@@ -166,7 +174,7 @@ def covariances(setting: Setting) -> list[Check]:
         wanted = F @ flat.covariances() @ F.transpose(0, 2, 1)
         size = np.linalg.norm(wanted, axis=(1, 2))
         wrong = np.linalg.norm(rendered.covariances() - wanted, axis=(1, 2)) / size
-        error, minimum = max(error, float(wrong.max())), min(minimum, float(rendered.scales.min()))
+        error, minimum = higher(error, wrong.max()), lower(minimum, rendered.scales.min())
     return [
         at_most("relative error of Sigma", error, 2e-5),
         at_least("smallest standard deviation [m]", minimum, 1e-6),
@@ -182,10 +190,10 @@ def continuity(setting: Setting) -> list[Check]:
         s.advance(index / 30)
         frame = carry(host(s.state.x), host(s.state.F), index=index, time=s.clock.time).gaussians
         dots = (frame.quats.astype(np.float64) * last.quats).sum(axis=1)
-        minimum = min(minimum, float(dots.min()))
+        minimum = lower(minimum, dots.min())
         clear = _distinct(frame) & _distinct(last)
         if clear.any():
-            jump = max(jump, float(_turn(frame, last)[clear].max()))
+            jump = higher(jump, _turn(frame, last)[clear].max())
         last = frame
     return [
         at_least("least q(t) . q(t + 1)", minimum, 0.0),

@@ -22,7 +22,7 @@ from phy124.studies.validation.stress.bodies import (
     host,
     volume_ratios,
 )
-from phy124.studies.validation.stress.case import Check, Setting, at_least, at_most, equal
+from phy124.studies.validation.stress.case import Check, Setting, at_least, at_most, equal, lower
 
 
 class Impact(NamedTuple):
@@ -62,7 +62,7 @@ def throw_at_floor(mach: float, material: Elastic, setting: Setting) -> Impact:
         # Measure elastic and kinetic energy at the same instant, as in `Meter`.
         energy = before.elastic + (before.kinetic + after.kinetic) / 2
         max_energy = max(max_energy, energy / first if math.isfinite(energy) else math.inf)
-        min_J, before = min(min_J, after.min_J), after
+        min_J, before = lower(min_J, after.min_J), after
 
     until = 0.375 * (3 / sound + 1.5 / speed)
     s.advance(until, after=watch)
@@ -96,7 +96,7 @@ def release(setting: Setting) -> list[Check]:
         min_J = math.inf
         for k in range(1, 241):
             s.advance(0.01 * k)
-            min_J = min(min_J, float(volume_ratios(s).min()))
+            min_J = lower(min_J, volume_ratios(s).min())
             # Repeatedly setting the velocities to zero brings the body to rest.
             s.state.v.zero_()
             s.state.C.zero_()

@@ -18,7 +18,15 @@ from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
 from phy124.studies.validation.bodies import block, surface_of_ball
 from phy124.studies.validation.stress.bodies import DX, Array, body, host, relative
-from phy124.studies.validation.stress.case import Check, Setting, at_least, at_most, equal
+from phy124.studies.validation.stress.case import (
+    Check,
+    Setting,
+    at_least,
+    at_most,
+    equal,
+    higher,
+    lower,
+)
 
 FIELDS = ("means", "quats", "scales", "opacities", "sh")
 
@@ -104,10 +112,10 @@ def sizes(setting: Setting) -> list[Check]:
         carry = Deformer(gaussians, device=setting.device)
         identity = np.tile(np.eye(3), (400, 1, 1))
         rendered = carry(gaussians.means, identity, index=0, time=0.0).gaussians
-        error = max(error, float(np.abs(rendered.scales / gaussians.scales - 1).max()))
+        error = higher(error, np.abs(rendered.scales / gaussians.scales - 1).max())
         covariances = rendered.covariances()
         finite &= bool(np.isfinite(covariances).all())
-        minimum = min(minimum, float(rendered.scales.min()))
+        minimum = lower(minimum, rendered.scales.min())
     return [
         at_most("relative error of scales at F = I", error, 1e-5),
         equal("finite", finite),

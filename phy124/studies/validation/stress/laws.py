@@ -17,7 +17,15 @@ from phy124.mpm.model import PRECISIONS
 from phy124.schema.region import Region
 from phy124.studies.validation.bodies import block, lattice, make_solver
 from phy124.studies.validation.stress.bodies import Array, assign, body, finite, host, volume_ratios
-from phy124.studies.validation.stress.case import Check, Setting, at_least, at_most, equal
+from phy124.studies.validation.stress.case import (
+    Check,
+    Setting,
+    at_least,
+    at_most,
+    equal,
+    higher,
+    lower,
+)
 
 MATERIALS: list[Material] = [kind() for kind in LAWS.by_name.values() if kind is not Rigid]
 """One material per law; rigid solids are stiff neo-Hookean solids."""
@@ -207,7 +215,7 @@ def impossible(setting: Setting) -> list[Check]:
         min_J, moved, sound = np.inf, 0.0, True
         for F in IMPOSSIBLE.values():
             result = _reset_particle(material, F, setting)
-            min_J, moved = min(min_J, result[0]), max(moved, result[1])
+            min_J, moved = lower(min_J, result[0]), higher(moved, result[1])
             sound &= result[2]
         name = material.device_law.name
         checks += [

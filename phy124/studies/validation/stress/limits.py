@@ -25,7 +25,15 @@ from phy124.studies.validation.stress.bodies import (
     vibrating,
     volume_ratios,
 )
-from phy124.studies.validation.stress.case import Check, Setting, at_least, at_most, equal
+from phy124.studies.validation.stress.case import (
+    Check,
+    Setting,
+    at_least,
+    at_most,
+    equal,
+    higher,
+    lower,
+)
 
 POISSON = (0.0, 0.3, 0.45, 0.49)
 
@@ -198,7 +206,7 @@ def heavy_on_light(ratio: float, setting: Setting, until: float) -> Stack:
     for k in range(1, 11):
         s.advance(until * k / 10)
         J = volume_ratios(s)
-        min_J, max_J = min(min_J, float(J.min())), max(max_J, float(J.max()))
+        min_J, max_J = lower(min_J, J.min()), higher(max_J, J.max())
     return Stack(min_J, max_J, s.clock.substeps)
 
 

@@ -22,7 +22,7 @@ from phy124.particles.solid import Solid
 from phy124.schema.region import Region
 from phy124.studies.validation.bodies import lattice
 from phy124.studies.validation.stress.bodies import Array, host
-from phy124.studies.validation.stress.case import Check, Setting, at_most
+from phy124.studies.validation.stress.case import Check, Setting, at_most, higher
 
 if TYPE_CHECKING:
     from phy124.liquid import AnySolver
@@ -107,7 +107,9 @@ def bodies_on_lattices(setting: Setting) -> list[Check]:
         mine = solver.model.particles(1)
         x, bottom = host(solver.state.x)[mine], 0.375 - density / 1000 * SIDE * (1 - SIDE**2)
         checks += [
-            at_most(f"{name}: largest energy over that at the start", max(energies) / start, 1.0),
+            at_most(
+                f"{name}: largest energy over that at the start", np.max(energies) / start, 1.0
+            ),
             at_most(f"{name}: sunk too deep [cells]", (max(bottom, 0) - x[:, 2].min()) / DX, 0.5),
         ]
         if density > WATER.density:
@@ -158,8 +160,8 @@ class Balance(MeanWork):
         lift = 0.5 * G * self._solver.model.total_mass
         gain = now.energy - first.energy - exchange.work
         missing = float(np.linalg.norm(now.momentum - exchange.impulse))
-        self.energy = max(self.energy, gain / lift)
-        self.momentum = max(self.momentum, missing / exchange.moved)
+        self.energy = higher(self.energy, gain / lift)
+        self.momentum = higher(self.momentum, missing / exchange.moved)
 
 
 def _liquid(
@@ -205,7 +207,7 @@ def _advance(solver: AnySolver, time: float, after: Callable[[], object] = lambd
         solver.advance(start + (frame + 1) / 24)
         after()
         if frame >= 3 * frames // 4:
-            fastest = max(fastest, float(np.linalg.norm(host(solver.state.v), axis=1).max()))
+            fastest = higher(fastest, np.linalg.norm(host(solver.state.v), axis=1).max())
     return fastest
 
 

@@ -128,6 +128,9 @@ def depth_in_body(inside: Inside, accuracy: str, setting: Setting, solver: str) 
         accuracy: Name of the accuracy preset.
         setting: Device and precision.
         solver: Solver for elastic objects.
+
+    Raises:
+        ValueError: The shape never touches the cushion.
     """
     material = Scene.named("drop").material
     cushion = {"name": "cushion", "shape": "box", "sides": CUSHION, "material": material}
@@ -135,7 +138,7 @@ def depth_in_body(inside: Inside, accuracy: str, setting: Setting, solver: str) 
     run = drop(inside, setting, solver, options)
     model, state = run.solver.model, run.solver.state
     body = model.particles(1)
-    rest, deepest = host(state.x)[body].copy(), -np.inf
+    rest, depths = host(state.x)[body].copy(), []
     for frame in run:
         x, F = host(state.x)[body], host(state.F)[body]
         means = frame.gaussians.means[frame.gaussians.object_id == 0]
@@ -144,8 +147,8 @@ def depth_in_body(inside: Inside, accuracy: str, setting: Setting, solver: str) 
         place = rest[near] + offset
         within = np.abs(place[:, :2]).max(axis=1) < CUSHION[0] / 2
         touched = place[within & (distance < 1.5 * model.dx), 2]
-        deepest = max(deepest, float((CUSHION[2] - touched).max(initial=-np.inf)))
-    return deepest / model.dx
+        depths += (CUSHION[2] - touched).tolist()
+    return float(np.max(depths)) / model.dx
 
 
 def tips(setting: Setting) -> list[Check]:

@@ -130,7 +130,7 @@ def floor(setting: Setting) -> list[Check]:
     kept = diagnose(sliding).momentum[0]
     return [
         at_most("gap at rest [cells]", abs(gap) / DX, 0.2),
-        at_most("largest depth below the floor [cells]", -min(lowest) / DX, 0.5),
+        at_most("largest depth below the floor [cells]", -np.min(lowest) / DX, 0.5),
         at_most("loss of tangential velocity on a slip wall", abs(kept / mass - 1), 1e-5),
     ]
 
