@@ -332,6 +332,10 @@ def test_names_are_refused_with_those_that_exist(capsys):
     assert Validate(list=True).run() == 0
     listed = capsys.readouterr().out
     assert all(each.name in listed for each in EXPERIMENTS)
+    assert Validate(list=True, json=True).run() == 0
+    assert [row["name"] for row in json.loads(capsys.readouterr().out)] == [
+        each.name for each in EXPERIMENTS
+    ]
     coarse, middle, fine = find_experiment("hertz").grids
     assert [run.cells for run in list_runs(find_experiment("hertz"))] == [
         fine,
