@@ -149,8 +149,8 @@ def list_matching(pattern: str) -> list[str]:
     """
     files, path = _open(pattern)
     try:
-        found = [path] if files.isfile(path) else files.glob(path)
-        matches = sorted(str(match) for match in found if not files.isdir(match))
+        paths = [path] if files.isfile(path) else files.glob(path)
+        matches = sorted(str(match) for match in paths if not files.isdir(match))
     except OSError as error:
         limit = f"its folder cannot be read ({error})."
         raise InputError(

@@ -189,7 +189,11 @@ def vortex(
 ) -> float:
     """Return the RMS position error of the ring divided by the RMS displacement.
 
-    `cells` is the number of cells across the ring's outer diameter.
+    Args:
+        cells: Number of cells across the ring's outer diameter.
+        time: Duration of the motion [s].
+        problem: The ring; None: the ring with the default values.
+        device: Warp device.
     """
     problem = problem or Vortex()
     dx = 2 * problem.outer / cells
