@@ -380,3 +380,15 @@ def test_file_of_a_run_keeps_its_place_in_the_picture(tmp_path):
             place != crop
         )
     assert not capture(PlyFile(path), Scene()).notes
+
+
+def test_file_of_a_further_object_keeps_its_place_in_the_picture(tmp_path):
+    crop, folder, first = (0.1, 0.2, 0.5, 0.8), tmp_path / "run", str(tmp_path / "first.ply")
+    folder.mkdir()
+    for path in (folder / "gaussians.ply", first):
+        write_ply(path, ball(200))
+    (folder / "report.json").write_text(json.dumps({"files": ["gaussians.ply"], "crop": crop}))
+    further = {"name": "second", "place": [0, 2], "file": str(folder / "gaussians.ply")}
+    declared = Scene.from_data({"objects": [further]})
+    made = pipeline.make_gaussians([first], declared, generator=first)
+    assert made.scene.objects[0].crop == crop and made.crop == (0, 0, 1, 1)
