@@ -10,7 +10,6 @@ import pytest
 from phy124.accuracy import companion
 from phy124.accuracy.companion import Factors, coarsen, estimate, forecast, with_own_error
 from phy124.accuracy.promises import promise
-from phy124.errors import Cancelled
 from phy124.particles.thickness import Proportions
 from phy124.pipeline import simulate
 from phy124.scene import Scene
@@ -109,18 +108,16 @@ def test_companion_uses_only_threads_that_pay(run, monkeypatch):
     [
         ({"omit": "not wanted"}, "not wanted"),
         ({"affordable": 1e-9}, "of the simulation time"),
-        ({"cancel": True}, "companion run on D/8 was interrupted"),
         ({"fail": True}, "companion run on D/8 failed"),
     ],
 )
 def test_missing_own_error_has_a_reason(run, monkeypatch, change, why):
     simulation, clip = run
     monkeypatch.setattr(companion, "AFFORDABLE", change.get("affordable", 1e3))
-    error = Cancelled() if "cancel" in change else MemoryError() if "fail" in change else None
-    if error is not None:
+    if "fail" in change:
 
         def stop(*_):
-            raise error
+            raise MemoryError
 
         monkeypatch.setattr(companion, "_distances", stop)
     report = with_own_error(simulation, clip, omit=change.get("omit", "")).report

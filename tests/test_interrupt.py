@@ -97,6 +97,18 @@ def test_filming_that_is_cancelled_keeps_the_clip(tmp_path, monkeypatch):
     assert {path.name for path in pipeline.go_on(tmp_path).files} >= {"front.mp4", "left.mp4"}
 
 
+def test_cancelled_estimate_of_the_error_interrupts_the_run(tmp_path, monkeypatch):
+    monkeypatch.setattr("phy124.accuracy.companion.AFFORDABLE", 1e3)
+    cancel = cancelling(lambda stage, done: stage == "companion")
+    with pytest.raises(Cancelled):
+        pipeline.simulate(ball(500), SCENE, tmp_path / "dropped", progress=cancel)
+    cut = pipeline.simulate(ball(500), SCENE, tmp_path / "kept", progress=cancel, keep=True)
+    assert (cut.report["interrupted"], cut.report["complete"]) == (True, True)
+    assert cut.report["error"]["why_not"] == "the run was interrupted"
+    again = pipeline.go_on(tmp_path / "kept")
+    assert not again.report["interrupted"] and again.report["error"]["about"] > 0
+
+
 def test_second_interrupt_while_filming_loses_no_frame(tmp_path):
     cancel = cancelling(
         lambda stage, done: (stage == "simulate" and done == 3) or "render" in stage

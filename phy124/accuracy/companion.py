@@ -128,7 +128,7 @@ class OwnError(NamedTuple):
 
 
 class Lost(Exception):
-    """Raised if a companion run ends early."""
+    """Raised if a companion run fails."""
 
 
 def with_own_error(
@@ -141,6 +141,9 @@ def with_own_error(
         clip: The clip of the run.
         omit: Reason to omit the companion run; if empty, a cheap companion run is made.
         goal: The entry `goal` of the report, if `--max-error` already measured the error.
+
+    Raises:
+        Cancelled: The context's `progress` cancelled the companion run.
     """
     omit = omit or why_broken(clip.report).rstrip(".")
     if omit:
@@ -175,7 +178,8 @@ def measure_error(run: Simulation, clip: Clip) -> OwnError:
     """Estimate the error of a finished run, unless the companion run would take too long.
 
     Raises:
-        Lost: The companion run was interrupted, or failed.
+        Cancelled: The context's `progress` cancelled the companion run.
+        Lost: The companion run failed.
     """
     if len(clip) < FEWEST:
         return OwnError(why_not=f"the clip has fewer than {FEWEST} frames")
@@ -272,8 +276,8 @@ def _compare(run: Simulation, clip: Clip, scene: Scene, indices: NDArray[np.int6
         companion = _prepare(run.setup, scene)
         cost = forecast(run, run.solver.clock.substeps, len(companion.particles))
         distances = _distances(companion, clip, indices) / run.scene.object.size
-    except Cancelled as cancelled:
-        raise Lost(f"the companion run on D/{cells} was interrupted") from cancelled
+    except Cancelled:
+        raise
     except Exception as error:
         why = failure(error).sentence.rstrip(".")
         raise Lost(f"the companion run on D/{cells} failed: {why}") from error

@@ -101,7 +101,7 @@ class RunFolder:
                 run, clip, interrupted = self._simulate(simulate)
                 with ThreadPoolExecutor(1, "pack") as pool:
                     self.packing = pool.submit(clip.pack)
-                    clip = self._with_error(run, clip, interrupted)
+                    clip, interrupted = self._with_error(run, clip, interrupted)
                     return self._save_and_film(folder, before, run, clip, interrupted)
         finally:
             self.recording.leave()
@@ -136,14 +136,21 @@ class RunFolder:
             raise _without_films(self.out, made, resumes=self.recording.saved > 0) from problem
         return Result(self.out, tuple(self.out / name for name in sorted(made)), report)
 
-    def _with_error(self, run: Simulation, clip: Clip, interrupted: bool) -> Clip:
+    def _with_error(self, run: Simulation, clip: Clip, interrupted: bool) -> tuple[Clip, bool]:
+        """Return the clip with its error in the report, and whether the run was interrupted."""
         omit, goal = why_broken(self.about).rstrip("."), self.about.get("goal")
         if interrupted:
-            return with_own_error(run, clip, omit="the run was interrupted")
+            return with_own_error(run, clip, omit="the run was interrupted"), True
         if goal is not None and goal["unit"] != "seconds":
-            return with_own_error(run, clip, omit=omit, goal=goal)
+            return with_own_error(run, clip, omit=omit, goal=goal), False
         omit = omit if self.error else "--no-error turns the estimate off"
-        return with_own_error(run, clip, omit=omit)
+        try:
+            return with_own_error(run, clip, omit=omit), False
+        except Cancelled:
+            if not self.keep:
+                self.recording.drop()
+                raise
+            return self._with_error(run, clip, True)
 
     def _simulate(
         self, simulate: Callable[[], tuple[Simulation, Clip]]
