@@ -14,6 +14,7 @@ from phy124.accuracy.forecast import Forecast, pixels_per_size, speed_up
 from phy124.accuracy.load import QUIET
 from phy124.accuracy.probe import CELLS, Pilot, SubstepCost, coarsen, run_pilot
 from phy124.accuracy.promises import Promise
+from phy124.errors import InputError
 from phy124.rendering.nearest import ROOM
 from phy124.scene import PRESETS, Scene
 from phy124.simulation import Simulation, prepare
@@ -250,6 +251,16 @@ def test_the_pilot_s_grid_resolves_what_the_scene_s_does(radius, cells):
             {"accuracy": "standard", "object.size": 1.0, **change}
         )
         assert coarsen(declared).resolution.cells == cells
+
+
+def test_pilot_has_the_scene_s_grid_if_a_coarser_grid_is_refused():
+    """At 16 cells, the region contains no particle."""
+    within = {"lower": [-0.014, -0.014, 0.3], "upper": [0.014, 0.014, 0.7]}
+    push = {"kind": "acceleration", "a": [0.0, 1.0, 0.0], "region": within}
+    grasped = scene("drop", 20, **{"forces": [push], "object.lift": 0.0})
+    assert run_pilot(OBJECT, grasped).cells == 20
+    with pytest.raises(InputError, match="it holds no particle"):
+        run_pilot(OBJECT, grasped.replaced({"accuracy.cells": 16}))
 
 
 def test_speed_up_is_that_of_the_benchmarks():

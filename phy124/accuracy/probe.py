@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from phy124.accuracy.stages import Stages, average_stages, predict_substep
 from phy124.boundaries.base import THINNEST
+from phy124.errors import InputError
 from phy124.gaussians import Gaussians
 from phy124.imaging.painted import WHOLE, Crop
 from phy124.io.clip import Clip
@@ -333,10 +334,10 @@ class Pilot:
         return int(np.ceil(total - 1e-9).sum()), fractions
 
 
-def coarsen(scene: Scene) -> Scene:
-    """Return the scene of the pilot run."""
+def coarsen(scene: Scene, cells: int = CELLS) -> Scene:
+    """Return the scene of the pilot run on a grid with this number of cells."""
     # Solids that the grid of the scene resolves must not be too thin for the coarse grid.
-    cells = min(max(CELLS, min_cells(scene)), scene.resolution.cells)
+    cells = min(max(cells, min_cells(scene)), scene.resolution.cells)
     changes = {"cells": cells, "precision": "float32", "solver": scene.solver}
     accuracy = scene.resolution.model_copy(update=changes)
     return scene.model_copy(update={"accuracy": accuracy, "binding": "lattice"})
@@ -366,11 +367,20 @@ def run_pilot(
         context: Only the device is used.
         crop: Position of the object in the picture with the masks of parts.
         placed: The object in its position, if a setup has already placed the same Gaussians.
+
+    Raises:
+        InputError: The scene can be simulated neither on the coarse grid nor on its own grid.
     """
     context = RunContext(device=(context or RunContext()).device)
-    coarse, start = coarsen(scene), time.perf_counter()
-    cells = coarse.resolution.cells
-    simulation = Simulation(prepare(gaussians, coarse, context, crop=crop, placed=placed))
+    start, finest = time.perf_counter(), scene.resolution.cells
+    options: dict[str, Any] = {"crop": crop, "placed": placed}
+    try:
+        simulation = Simulation(prepare(gaussians, coarsen(scene), context, **options))
+    except InputError:  # on a coarse grid, a small region may contain no particle
+        if coarsen(scene).resolution.cells == finest:
+            raise
+        simulation = Simulation(prepare(gaussians, coarsen(scene, finest), context, **options))
+    cells = simulation.scene.resolution.cells
     solver, timing = simulation.solver, scene.time
     softening = simulation.find(Softening)
     counts = {name: np.zeros(timing.frames - 1) for name in LIMITERS}
