@@ -2,7 +2,9 @@
 
 import pytest
 
-from phy124.accuracy.goal import UNIT, Goal, describe_goal, format_error
+from phy124.accuracy.forecast import Forecast
+from phy124.accuracy.goal import STAGES, UNIT, Goal, describe_goal, explain_time, format_error
+from phy124.accuracy.probe import SubstepCost
 from phy124.errors import InputError
 from phy124.scene import Scene
 
@@ -47,6 +49,18 @@ def test_goal_values_have_the_units_of_the_scene():
         format_error("fraction", 0.012),
         format_error("metres", 0.0034),
     ] == ["2.0 px", "1.2 %", "3.4 mm"]
+
+
+@pytest.mark.parametrize(
+    ("stage", "words", "views"), [("outputs", "outputs", True), ("export", "whole clip", False)]
+)
+def test_a_time_too_short_names_the_longest_stage(stage, words, views):
+    stages = {"simulate": 0.5, stage: 5.0}
+    forecast = Forecast(stages, (), 100, 100, 10, {}, SubstepCost(1e-9, 1e-9))
+    scene = Scene.named("press").replaced({"view.views": ["front", "left"]})
+    refusal = explain_time(Goal.time(1), scene, 8, forecast, 0.0)
+    assert f"most of it (5 s) for {STAGES[stage]}" in refusal.limit and words in STAGES[stage]
+    assert ("view.views = front" in refusal.remedy) == views
 
 
 def test_search_names_the_error_of_each_grid():

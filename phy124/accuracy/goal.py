@@ -126,7 +126,7 @@ def explain_time(
 
 
 def _find_remedies(scene: Scene, stage: str) -> Iterator[Remedy]:
-    if stage in ("render", "encode", "save") and len(scene.view.sides) > 1:
+    if stage in PER_VIEW and len(scene.view.sides) > 1:
         yield Remedy(
             "view.views = front", {"view.views": ["front"], "view.azimuths": [], "view.cameras": []}
         )
@@ -134,6 +134,8 @@ def _find_remedies(scene: Scene, stage: str) -> Iterator[Remedy]:
         yield change_field("time.frames", max(2, scene.time.frames // 2))
 
 
+PER_VIEW = ("render", "shine", "encode", "outputs")
+"""Stages whose time is proportional to the number of views."""
 STAGES = {
     "preparing": "the particles and the forecast of each grid",
     "simulate": "the simulation",
@@ -141,6 +143,9 @@ STAGES = {
     "companion": "the estimate of the error",
     "observe": "contacts, forces and torn material in each frame",
     "render": "the pictures",
+    "shine": "highlights and reflections",
     "encode": "the videos",
+    "outputs": "the outputs of the view",
+    "export": "files of the whole clip",
     "save": "saving",
 }
