@@ -83,6 +83,18 @@ def test_slow_motion_of_flat_material_is_no_shock(damping, speed, shock):
     assert solver.clock.in_shock == shock
 
 
+def test_slow_motion_of_a_stiffened_body_is_no_shock():
+    """The speed of sound is 5 times that of the material."""
+    solver = make(block((0.4, 0.3, 0.3)))
+    rate, shocks = 0.5 * SOFT.wave_speed() / DX, []
+    solver.nodes_state.v.assign(solver.lattice.x * [0, 0, -rate])
+    for factor in (1.0, 25.0):
+        solver.softened = factor
+        solver.limits.measure_if_due()
+        shocks.append(solver.clock.in_shock)
+    assert shocks == [True, False]
+
+
 def test_a_shock_of_one_substep_ends_within_a_few():
     clock = make(block((0.2, 0.2, 0.2))).clock
     clock.closing, shocks = 1.25 * clock.calm, []

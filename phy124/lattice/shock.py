@@ -113,14 +113,14 @@ class LatticeClock(Clock):
         return taken >= STALLED and 0 <= elapsed < usual
 
 
-def largest_calm_rate(materials: Sequence[Material], dx: float) -> float:
+def largest_calm_rate(materials: Sequence[Material], dx: float, softened: float = 1.0) -> float:
     """Return the closing rate [1/s] above which the artificial viscosity acts; cells have the side
-    `dx` [m].
+    `dx` [m], and Young's moduli are `softened` times those of the materials.
 
     Up to the rate eta / (rho dx^2), the damping eta of the materials causes more pressure than the
     artificial viscosity.
     """
-    sound = max(material.wave_speed() for material in materials)
+    sound = math.sqrt(softened) * max(material.wave_speed() for material in materials)
     damped = min(1 / (8 * material.viscous_limit(dx)) for material in materials)
     return max(FAST * sound / dx, damped)
 

@@ -240,6 +240,7 @@ class LatticeSolver(Kept):
     @softened.setter
     def softened(self, factor: float) -> None:
         self.limits.softened = factor
+        self.clock.calm = largest_calm_rate(self.model.materials, self.model.dx, factor)
 
     @property
     def timings(self) -> Timings:
