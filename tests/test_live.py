@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 
 from phy124.errors import InputError
+from phy124.forces import WrenchForce
 from phy124.gaussians import Gaussians
 from phy124.generators.shapes import ball
 from phy124.live import Live, RealTime, choose, engine, held_rate
+from phy124.live import inputs as live_inputs
 from phy124.live.inputs import GrabRecord, Inputs
 from phy124.runtime import stopwatch
 from phy124.runtime.context import RunContext
@@ -84,6 +86,26 @@ def test_live_run_keeps_only_acting_forces():
     later = np.linspace(49.5, 51, 40)
     held, same = (some.forces[-1].target().values(later) for some in (whole, now))
     assert np.array_equal(held, same)
+
+
+def test_work_of_a_push_does_not_grow_with_the_session(monkeypatch):
+    """A controller sends a push in every frame; those that ended are stored and not looked at."""
+    run, work = live(forces=[], boundaries=[]), []
+    run.step()
+    acts_after, count = live_inputs._acts_after, WrenchForce.model_copy
+    monkeypatch.setattr(live_inputs, "_acts_after", lambda *of: work.append(1) or acts_after(*of))
+    monkeypatch.setattr(WrenchForce, "__eq__", lambda *of: pytest.fail("pushes are compared"))
+    monkeypatch.setattr(
+        WrenchForce, "model_copy", lambda *of, **to: work.append(1) or count(*of, **to)
+    )
+    sizes = []
+    for _ in range(30):
+        work.clear()
+        run.push((1, 0, 0), name="tool")
+        run.push((1, 0, 0))
+        run.step()
+        sizes.append(len(work))
+    assert len(run.session().forces) == 60 and max(sizes) <= 30
 
 
 def test_grab_before_the_first_frame_acts_from_the_second():

@@ -104,7 +104,7 @@ class Live:
         self._run = Simulation(self._prepare(self._scene, **options))
         self._target: Vector | None = None
         self._offsets: dict[int, Vector] = {}
-        self._named: dict[str, WrenchForce] = {}
+        self._named: dict[str, int] = {}
         self._changed = False
         self._touched = False
         """Whether an input has acted since the start."""
@@ -290,10 +290,10 @@ class Live:
         """
         now, limits = self.time, self.limits
         before = self._named.get(name)
-        acting = sum(w.end > now for w in self._inputs.wrenches if w.end and w != before)
+        acting = self._inputs.count_acting(now, before)
         if acting >= PUSHES:
             limit = f"{acting} pushes act at this moment, which is the maximum."
-            raise InputError("push", len(self._inputs.wrenches), limit, "Wait until a push ends.")
+            raise InputError("push", acting + 1, limit, "Wait until a push ends.")
         seconds = check_number("push.seconds", seconds, 1e-3, 3600)
         radius = limits.check_radius("push.radius", radius)
         place = None if at is None else check_vector("push.at", at)
@@ -310,9 +310,9 @@ class Live:
             end=now + seconds,
         )
         self._inputs.end_push(before, now)
-        self._inputs.wrenches.append(push)
+        number = self._inputs.push(push)
         if name:
-            self._named[name] = push
+            self._named[name] = number
         self._changed = True
 
     def gravity(self, g: Sequence[float]) -> None:

@@ -4,6 +4,7 @@ Every input starts at the time of a frame. A run of the recorded scene therefore
 substeps.
 """
 
+import itertools
 from bisect import bisect_right
 from dataclasses import dataclass, field
 from typing import Any
@@ -59,7 +60,11 @@ class Inputs:
     def __init__(self, scene: Scene) -> None:
         self.base = scene
         self.grabs: list[GrabRecord] = []
-        self.wrenches: list[WrenchForce] = []
+        self.pushes: dict[int, WrenchForce] = {}
+        """All pushes of the session, by number in the order in which they start."""
+        self._acting: list[int] = []
+        """Numbers of the pushes that may still act. A session may have many more pushes."""
+        self._numbers = itertools.count()
         self.gravity: list[Gravity] = []
         self.moved: dict[int, WallPath] = {}
         self.softness: list[tuple[float, float]] = [(0.0, 1.0)]
@@ -83,14 +88,37 @@ class Inputs:
             self.gravity.pop()
         self.gravity.append(Gravity(g=g, start=now))
 
-    def end_push(self, before: WrenchForce | None, now: float) -> None:
+    def push(self, push: WrenchForce) -> int:
+        """Add a push; return its number."""
+        number = next(self._numbers)
+        self.pushes[number] = push
+        self._acting.append(number)
+        return number
+
+    def end_push(self, number: int | None, now: float) -> None:
         """End a push at `now` [s]; if the push has not begun, remove it."""
-        if before is None or before not in self.wrenches:
+        if number is None or number not in self.pushes:
             return
-        end = now if before.end is None else min(before.end, now)
-        cut = [before.model_copy(update={"end": end})] if before.start < now else []
-        index = self.wrenches.index(before)
-        self.wrenches[index : index + 1] = cut
+        push = self.pushes[number]
+        if push.start < now:
+            self.pushes[number] = _end_by(push, now)
+        else:
+            del self.pushes[number]
+
+    def count_acting(self, now: float, besides: int | None) -> int:
+        """Return how many pushes act after `now` [s], without the push of the number `besides`."""
+        numbers = [number for number in self._acting if number in self.pushes]
+        return sum(_acts_after(self.pushes[n], now) for n in numbers if n != besides)
+
+    def _list_pushes(self, since: float) -> list[WrenchForce]:
+        """Return the pushes that act after `since` [s]; a later call must not have an earlier time,
+        except 0.
+        """
+        if since <= 0:
+            return [*self.pushes.values()]
+        numbers = [number for number in self._acting if number in self.pushes]
+        self._acting = [n for n in numbers if _acts_after(self.pushes[n], since)]
+        return [self.pushes[number] for number in self._acting]
 
     def scene(self, since: float = 0.0) -> Scene:
         """Return the scene with all inputs except inputs that ended before `since` [s]."""
@@ -100,8 +128,8 @@ class Inputs:
             boundaries[index] = boundaries[index].model_copy(update={"motion": path})
         # A grab acts from its second target on. The next frame adds this target.
         grabs = [held for held in self.grabs if len(held.times) > 1 and _acts_after(held, since)]
-        pushes = [push for push in self.wrenches if _acts_after(push, since)]
-        forces = (*self._weights(since), *pushes, *(held.force(since) for held in grabs))
+        held_by = (held.force(since) for held in grabs)
+        forces = (*self._weights(since), *self._list_pushes(since), *held_by)
         done = {"forces": forces, "boundaries": tuple(boundaries), **self._stiffness_profile(since)}
         return self.base.model_copy(update=done)
 
@@ -121,11 +149,12 @@ class Inputs:
             kept = sum(held.start + time <= since + 1e-9 for time in held.times)
             del held.times[max(kept, 2) :], held.targets[max(kept, 2) :]
             held.end = since if held.end is None else min(held.end, since)
-        self.wrenches = [
-            wrench.model_copy(update={"end": min(wrench.end or since, since)})
-            for wrench in self.wrenches
-            if wrench.start < since
-        ]
+        self.pushes = {
+            number: _end_by(push, since)
+            for number, push in self.pushes.items()
+            if push.start < since
+        }
+        self._acting = [*self.pushes]
         self.gravity = [g for g in self.gravity if g.start < since or g.start == 0.0]
         self.softness = [key for key in self.softness if key[0] < since] or [(0.0, 1.0)]
         for moved in self.moved.values():
@@ -151,6 +180,10 @@ class Inputs:
         weights = zip(self.gravity, ends, strict=True)
         changed = [g.model_copy(update={"end": end}) for g, end in weights]
         return forces + [g for g in changed if _acts_after(g, since)]
+
+
+def _end_by(push: WrenchForce, time: float) -> WrenchForce:
+    return push.model_copy(update={"end": time if push.end is None else min(push.end, time)})
 
 
 def _acts_after(item: GrabRecord | WrenchForce | Gravity, since: float) -> bool:
