@@ -436,26 +436,12 @@ class Live:
             held.times.append(next_time - held.start)
             held.targets.append(self._target)
             self._changed = True
+        most = FASTEST * self.limits.size / self._scene.time.fps
         for wall, offset in list(self._offsets.items()):
-            self._move_on(wall, offset, next_time)
-
-    def _move_on(self, wall: int, offset: Vector, next_time: float) -> None:
-        """Move a wall towards an offset in the next frame, no faster than a hand moves."""
-        moved = self._inputs.moved.setdefault(wall, WallPath())
-        here, there = np.array(moved.points[-1]), np.array(offset)
-        step, most = there - here, FASTEST * self.limits.size / self._scene.time.fps
-        far = float(np.linalg.norm(step))
-        if far > most:
-            there = here + step * (most / far)
-        else:
-            del self._offsets[wall]
-        if moved.times[-1] < self.time:
-            moved.times.append(self.time)
-            moved.points.append(moved.points[-1])
-        moved.times.append(next_time)
-        x, y, z = there.tolist()
-        moved.points.append((x, y, z))
-        self._changed = True
+            moved = self._inputs.moved.setdefault(wall, WallPath())
+            if moved.approach(offset, self.time, next_time, most):
+                del self._offsets[wall]
+            self._changed = True
 
     def _apply(self) -> None:
         if self._changed:

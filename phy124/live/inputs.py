@@ -9,6 +9,8 @@ from bisect import bisect_right
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+
 from phy124.boundaries.base import Movable
 from phy124.boundaries.motion import Path
 from phy124.forces import AnyForce, Grab, Gravity, WrenchForce
@@ -52,6 +54,28 @@ class WallPath:
 
     times: list[float] = field(default_factory=lambda: [0.0])
     points: list[Vector] = field(default_factory=lambda: [(0.0, 0.0, 0.0)])
+
+    def approach(self, target: Vector, now: float, then: float, most: float) -> bool:
+        """Move towards a displacement; return whether it will be reached.
+
+        Args:
+            target: The displacement [m].
+            now: Start of the motion [s].
+            then: End of the motion [s].
+            most: Largest distance by which the wall moves [m].
+        """
+        here, there = np.array(self.points[-1]), np.array(target)
+        step = there - here
+        far = float(np.linalg.norm(step))
+        if far > most:
+            there = here + step * (most / far)
+        if self.times[-1] < now:
+            self.times.append(now)
+            self.points.append(self.points[-1])
+        self.times.append(then)
+        x, y, z = there.tolist()
+        self.points.append((x, y, z))
+        return far <= most
 
 
 class Inputs:
