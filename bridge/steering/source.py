@@ -9,13 +9,17 @@ from typing import TYPE_CHECKING
 
 import tyro
 
+from phy124.errors import InputError
+
 from ..cameras import Cameras
 from ..encoder import FrameEncoder
 from ..options import Options
+from ..parameters import MAKING
 from ..source import LiveOptions, make_object, open_clip, refuse_unopened
 
 if TYPE_CHECKING:
     from phy124.gaussians import Gaussians
+    from phy124.imaging.painted import Crop
     from phy124.live import Live
     from phy124.scene import Scene
 
@@ -71,36 +75,57 @@ def make_live(
     # Hides the messages that Warp prints during compilation.
     warp.config.log_level = warp.LOG_ERROR
     device = pick_device(options.device)
-    gaussians, scene = _object(source, options, device)
+    chosen = "accuracy" in {name.split(".")[0] for name in parse_changes(options.set)}
+    if chosen and options.max_error is not None:
+        limit = "the accuracy is already chosen by --set."
+        raise InputError("max_error", options.max_error, limit, "Remove one of the two options.")
+    gaussians, scene, crop = _object(source, options, device)
     scene = scene.replaced({"velocities": velocities})
     context = RunContext(device=device, threads=options.threads)
-    if "accuracy" in {name.split(".")[0] for name in parse_changes(options.set)}:
+    if chosen:
         promised = promise(scene, proportions_of(gaussians, scene))
         said = f"{scene.resolution.cells} cells across the object. {promised.brief}"
-        return Live(gaussians, scene, context), said
+        return Live(gaussians, scene, context, crop=crop), said
     encoder = FrameEncoder(messages.live(), quiet=True)
     with Cameras(messages, scene.data()) as cameras:
-        chosen = held_rate(
+        choice = held_rate(
             gaussians,
             scene,
             context,
             rate=max(speed, 0.01),
             max_error=options.max_error,
+            crop=crop,
             show=lambda frame: encoder.encode(cameras.look(frame)),
         )
-    return Live(gaussians, chosen.scene, context), chosen.sentence
+    return Live(gaussians, choice.scene, context, crop=crop), choice.sentence
 
 
-def _object(source: Path, options: SteeredOptions, device: str) -> tuple[Gaussians, Scene]:
+def _object(source: Path, options: SteeredOptions, device: str) -> tuple[Gaussians, Scene, Crop]:
+    from phy124.imaging.painted import WHOLE
+    from phy124.pipeline.gaussians import at_rest_in
     from phy124.progress import silent
     from phy124.scene import Scene, parse_changes
 
     changes = parse_changes(options.set)
     if source.suffix == CLIP:
+        _refuse_making(options)
         clip = open_clip(source)
         stored = Scene.from_data(clip.scene) if clip.scene and not options.scene else None
         scene = stored or Scene.named(options.scene or "drop")
-        return clip.frame(0).gaussians, scene.replaced(changes)
+        gaussians, crop = at_rest_in(clip)
+        return gaussians, scene.replaced(changes), crop or WHOLE
     scene = Scene.named(options.scene or "drop").replaced(changes)
     made = make_object(source, options, scene, device, silent)
-    return made.gaussians, made.scene
+    return made.gaussians, made.scene, made.crop
+
+
+def _refuse_making(options: SteeredOptions) -> None:
+    """Refuse the options that make an object from a picture or a file of Gaussians."""
+    usual = SteeredOptions()
+    asked = {name: getattr(options, name) for name in ("generator", "more")}
+    asked = {name: value for name, value in asked.items() if value != getattr(usual, name)}
+    for section in MAKING:
+        asked |= getattr(options, section).model_dump(exclude_defaults=True)
+    for name, value in asked.items():
+        limit = "a clip already contains its objects."
+        raise InputError(name, value, limit, "Remove this option, or start from the picture.")

@@ -3,10 +3,12 @@
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 from phy124.accuracy.promises import Promise, promise
 from phy124.gaussians import Frame, Gaussians
+from phy124.imaging.painted import WHOLE, Crop
 from phy124.live.engine import Live
 from phy124.live.limits import check_number
 from phy124.particles.thickness import Proportions
@@ -71,6 +73,7 @@ def held_rate(
     rate: float = 1.0,
     max_error: float | None = None,
     shapes: bool = True,
+    crop: Crop = WHOLE,
     show: Callable[[Frame], object] = lambda frame: None,
 ) -> Choice:
     """Find the finest grid on which this machine reaches a given frame rate.
@@ -85,6 +88,7 @@ def held_rate(
         max_error: Largest error bound, relative to the object's size. The coarsest grid within this
             bound is chosen, even if it is too slow. If None, the error is not limited.
         shapes: Whether frames contain the shapes of the Gaussians, as for `Live`.
+        crop: Position of the object in the picture on which the masks of parts were painted.
         show: Function that processes each frame, for example by drawing the frame. The trial
             includes the time that this function takes.
 
@@ -93,13 +97,14 @@ def held_rate(
     """
     rate, context = check_number("rate", rate, 0.01, 100), context or RunContext()
     proportions = proportions_of(gaussians, scene)
+    start = partial(Live, gaussians, shapes=shapes, crop=crop)
     if max_error is None:
-        cost = _trial(gaussians, _on(scene, TRIED), context, shapes, show)
+        cost = _trial(start, _on(scene, TRIED), context, show)
         allowed = SPARE / (scene.time.fps * rate)
         cells = max((n for n in CELLS if cost.on(n) <= allowed), default=CELLS[0])
     else:
         cells = _exact_enough(scene, proportions, check_number("max_error", max_error, 1e-6, 1))
-        cost = _trial(gaussians, _on(scene, cells), context, shapes, show)
+        cost = _trial(start, _on(scene, cells), context, show)
     chosen = _on(scene, cells)
     return Choice(chosen, 1 / (scene.time.fps * cost.on(cells)), promise(chosen, proportions))
 
@@ -119,15 +124,14 @@ def _exact_enough(scene: Scene, proportions: Proportions | None, error: float) -
 
 
 def _trial(
-    gaussians: Gaussians,
+    start: Callable[[Scene, RunContext], Live],
     scene: Scene,
     context: RunContext,
-    shapes: bool,
     show: Callable[[Frame], object],
 ) -> Cost:
     """Measure the time of frames in an expensive motion: a hand swings the object by its top."""
     watch = Stopwatch()
-    live = Live(gaussians, scene, replace(context, watch=watch), shapes=shapes)
+    live = start(scene, replace(context, watch=watch))
     means = live.step().gaussians.means
     x, y, z = means[means[:, 2].argmax()].tolist()
     live.grab((x, y, z))

@@ -315,15 +315,21 @@ def check_sources(scene: Scene, more: Sequence[PathLike]) -> None:
 
 
 def at_rest(path: PathLike) -> tuple[Gaussians, Crop | None]:
-    """Return the Gaussians of a clip's object in the first frame, and the object's position in its
-    picture, which clips of earlier versions lack.
+    """Return what `at_rest_in` returns for the object of a stored clip.
 
     Raises:
         InputError: The file is not a clip, or the clip has several objects.
     """
-    clip = Clip.load(path)
-    gaussians, crop = clip.surface.frame(0).gaussians, clip.report.get("crop")
+    gaussians, crop = at_rest_in(Clip.load(path))
     if gaussians.object_id is not None:
         remedy = "Give the pictures or files of Gaussians from which its objects were made."
         raise InputError("file", path, "it is a clip of several objects.", remedy)
-    return gaussians, crop and tuple(crop)
+    return gaussians, crop
+
+
+def at_rest_in(clip: Clip) -> tuple[Gaussians, Crop | None]:
+    """Return the Gaussians of a clip's objects in the first frame, without their grains, and the
+    first object's position in its picture, which clips of earlier versions lack.
+    """
+    crop = clip.report.get("crop")
+    return clip.surface.frame(0).gaussians, crop and tuple(crop)
