@@ -37,7 +37,7 @@ def hide_flaws(clip: Clip, frames: Iterable[int] | None = None) -> tuple[Clip, l
     where = f"{flawed[0]} to {flawed[-1]}" if several else str(flawed[0])
     if not sound.any():
         limit = "every Gaussian has NaN or infinite values."
-        remedy = "Export earlier frames with --frame, or simulate again on a finer grid."
+        remedy = "Use earlier frames, or simulate again on a finer grid."
         raise InputError("frames", where, limit, remedy)
     note = (
         f"{np.count_nonzero(~sound)} of {len(sound)} Gaussians have NaN or infinite values in "

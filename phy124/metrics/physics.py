@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phy124.io.clip import Clip
+from phy124.io.flaws import hide_flaws
 
 
 @dataclass(frozen=True)
@@ -35,14 +36,17 @@ class Physics:
 
 
 def measure_physics(clip: Clip) -> Physics:
-    """Measure the physics of a clip; all Gaussians have equal weights."""
+    """Measure the physics of a clip; all Gaussians with finite values have equal weights.
+
+    Raises:
+        InputError: No Gaussian has finite values in all frames.
+    """
+    clip, flaws = hide_flaws(clip)
     # Frames are read one by one, because a clip may be larger than the memory.
-    volumes, centres, finite = [], [], True
+    volumes, centres = [], []
     for index in range(len(clip)):
-        arrays = clip.means[index], clip.quats[index], clip.scales[index]
-        volumes.append(np.prod(arrays[2], axis=1, dtype=np.float64).sum())
-        centres.append(arrays[0].mean(axis=0, dtype=np.float64))
-        finite &= all(bool(np.isfinite(array).all()) for array in arrays)
+        volumes.append(np.prod(clip.scales[index], axis=1, dtype=np.float64).sum())
+        centres.append(clip.means[index].mean(axis=0, dtype=np.float64))
     ratio, path = np.array(volumes) / volumes[0], np.array(centres)
     size = float(np.ptp(clip.means[0], axis=0).max()) or 1.0
     steps = np.linalg.norm(np.diff(path, axis=0), axis=1)
@@ -52,7 +56,7 @@ def measure_physics(clip: Clip) -> Physics:
         volume_highest=float(ratio.max()),
         momentum_residual=_momentum_residual(clip, path),
         travelled=float(steps.sum()) / size,
-        finite=finite,
+        finite=not flaws,
     )
 
 
@@ -75,10 +79,12 @@ def centre_paths_differ(a: Clip, b: Clip) -> float:
 
     Raises:
         ValueError: The clips have different numbers of frames.
+        InputError: No Gaussian of a clip has finite values in all frames.
     """
     if len(a) != len(b):
         raise ValueError(f"the clips have {len(a)} and {len(b)} frames")
-    paths = [np.array([row.mean(axis=0, dtype=np.float64) for row in c.means]) for c in (a, b)]
+    clips = [hide_flaws(clip)[0] for clip in (a, b)]
+    paths = [np.array([row.mean(axis=0, dtype=np.float64) for row in c.means]) for c in clips]
     first, second = (path - path[0] for path in paths)
     length = max(float(np.linalg.norm(path, axis=1).max()) for path in (first, second))
     apart = float(np.linalg.norm(first - second, axis=1).max())
