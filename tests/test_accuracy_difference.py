@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 
+from phy124.accuracy import choose
 from phy124.accuracy.difference import difference, pixel_distance
-from phy124.scene import View
-from support.clips import flight
+from phy124.accuracy.goal import Goal
+from phy124.scene import Scene, View
+from support.clips import flight, with_floor
 
 VIEW = View(size=64, views=("front",))
 STEP = 0.05
@@ -41,6 +43,16 @@ def test_pixels_scale_with_the_picture(clips):
     scale = 64 / (2 * np.tan(np.radians(level.fov / 2))) * np.sqrt(np.mean(depth**-2.0))
     moved = pixel_distance(clips[1], clips[0], level)
     assert moved == pytest.approx(STEP / np.sqrt(3) * scale, rel=0.01)
+
+
+def test_surroundings_do_not_count(clips):
+    floored = [with_floor(clip) for clip in clips]
+    for function in (
+        lambda a, b: pixel_distance(b, a, VIEW),
+        lambda a, b: difference(b, a, VIEW).metres,
+        lambda a, b: choose._distance(Goal.error("1mm"), a, b, Scene()),
+    ):
+        assert function(*floored) == pytest.approx(function(*clips), rel=1e-6)
 
 
 def test_clips_of_different_length_are_refused(clips):

@@ -3,7 +3,7 @@
 import json
 import math
 import re
-from dataclasses import fields
+from dataclasses import asdict, fields
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +25,7 @@ from phy124.metrics import (
     similarity,
     ssim,
 )
+from support.clips import with_floor
 
 TINY = {
     "hidden_size": 32,
@@ -179,6 +180,13 @@ def test_physics_of_exact_free_fall():
 
 def test_physics_of_one_gaussian_is_in_metres():
     assert measure_physics(falling(count=1)).travelled == pytest.approx(0.21289, rel=0.01)
+
+
+def test_physics_does_not_count_surroundings():
+    clips = falling(speed=1.0), falling(speed=0.9)
+    floored = [with_floor(clip) for clip in clips]
+    assert asdict(measure_physics(floored[0])) == pytest.approx(asdict(measure_physics(clips[0])))
+    assert centre_paths_differ(*floored) == pytest.approx(centre_paths_differ(*clips))
 
 
 def test_physics_sees_cheats():

@@ -331,7 +331,7 @@ def _distance(goal: Goal, first: Clip, second: Clip, scene: Scene) -> float:
     if goal.kind == "pixels":
         return pixel_distance(first, second, scene.view)
     unit = scene.object.size if goal.kind == "fraction" else 1.0
-    return float(distances([first.surface.means, second.surface.means])[0, 1]) / unit
+    return float(distances([first.object_means, second.object_means])[0, 1]) / unit
 
 
 def _unreachable(goal: Goal, why: str) -> InputError:

@@ -18,7 +18,7 @@ class Difference:
     """Distances between the Gaussians' centres in two clips, and differences of the videos."""
 
     metres: float
-    """RMS distance over all Gaussians and frames [m]."""
+    """RMS distance over all frames and all Gaussians of the object [m]."""
     relative: float
     """RMS distance, relative to the object's size at rest."""
     pixels: float
@@ -34,7 +34,9 @@ class Difference:
 
 
 def difference(clip: Clip, reference: Clip, view: View, *, device: str = "cpu") -> Difference:
-    """Compare two clips that show one object at the same times; grains are ignored.
+    """Compare two clips that show one object at the same times.
+
+    Grains are ignored, and distances do not count surroundings.
 
     Args:
         clip: The first clip.
@@ -67,11 +69,14 @@ def difference(clip: Clip, reference: Clip, view: View, *, device: str = "cpu") 
 
 
 def pixel_distance(clip: Clip, reference: Clip, view: View) -> float:
-    """Return the RMS distance [pixels] between two clips in the image of the first view."""
+    """Return the RMS distance [pixels] between the objects of two clips in the image of the first
+    view.
+    """
     clip, reference, squares = clip.surface, reference.surface, []
+    counted = reference.object_mask
     for index, camera in enumerate(cameras(reference, view, view.sides[0])):
-        here, _ = camera.project(clip.means[index].astype(float))
-        there, _ = camera.project(reference.means[index].astype(float))
+        here, _ = camera.project(clip.means[index][counted].astype(float))
+        there, _ = camera.project(reference.means[index][counted].astype(float))
         squares.append(((here - there) ** 2).sum(axis=1).mean())
     return float(np.sqrt(np.mean(squares)))
 

@@ -193,6 +193,12 @@ class Clip:
         return mask if mask.any() else ~mask
 
     @property
+    def object_means(self) -> NDArray[np.float32]:
+        """Centres [T,M,3], m, of the M Gaussians of the object, without grains and surroundings."""
+        surface = self.surface
+        return np.asarray(surface.means)[:, surface.object_mask]
+
+    @property
     def surface(self) -> Clip:
         """A copy of the clip without grains. The number of grains depends on the accuracy."""
         grains = self.report.get("grains", 0)

@@ -56,6 +56,28 @@ def flight(steps, *, count: int = 500) -> Clip:
     return Clip.from_frames(frames)
 
 
+def with_floor(clip: Clip, count: int = 1500) -> Clip:
+    """Return the clip with surroundings: the Gaussians of a floor, which do not move."""
+    n = clip.means.shape[1]
+    x = np.random.default_rng(0).uniform(-2, 2, (count, 3)) * [1, 1, 0] - [0, 0, 0.5]
+
+    def add(array: np.ndarray, values: np.ndarray | float) -> np.ndarray:
+        shape = (*array.shape[: array.ndim - 2], count, array.shape[-1])
+        return np.concatenate([array, np.broadcast_to(values, shape).astype(array.dtype)], axis=-2)
+
+    return Clip(
+        add(clip.means, x),
+        add(clip.quats, np.array([1.0, 0.0, 0.0, 0.0])),
+        add(clip.scales, 0.02),
+        np.append(clip.opacities, np.ones(count, clip.opacities.dtype)),
+        np.concatenate([clip.sh, np.zeros((count, *clip.sh.shape[1:]), clip.sh.dtype)]),
+        clip.times,
+        velocities=None if clip.velocities is None else add(clip.velocities, 0.0),
+        scene={"parts": [{"gaussians": (n, n + count), "surroundings": True, "static": True}]},
+        report=clip.report,
+    )
+
+
 def falling(count=5):
     """Return a clip of a falling cube of Gaussians, and the positions in the first frame."""
     rest = np.stack(np.meshgrid(*[np.linspace(0, 1, 4)] * 3), -1).reshape(-1, 3)

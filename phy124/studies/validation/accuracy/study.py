@@ -217,12 +217,13 @@ class Study:
             return self._conclude_without_errors(rows, skipped, why)
         names = [row.name for row in levels]
         clips = [self.clips[name] for name in names]
+        means = [clip.object_means for clip in clips]
         spacings = [1 / row.cells for row in levels]
-        convergence, frames = longest_convergence(spacings, [clip.means for clip in clips], size)
+        convergence, frames = longest_convergence(spacings, means, size)
         convergence = _without_torn(rows, convergence)
         known = dict(zip(names, convergence.errors, strict=False))
         judged = tuple(self._compare(row, clips, convergence, known, frames) for row in rows)
-        finest = distances([clip.means for clip in clips[-2:]])
+        finest = distances(means[-2:])
         times = clips[0].times
         until = float(times[frames - 1]) if frames < len(times) else None
         return Report(
@@ -264,8 +265,8 @@ class Study:
         if clip is not levels[-1] and self.thorough:
             apart = difference(clip, levels[-1], small, device=self.context.device)
             apart = replace(apart, pixels=apart.pixels / shrink)
-        start = slice(frames)
-        each = [distances([clip.means[start], level.means[start]])[0, 1] / size for level in levels]
+        x = [other.object_means[:frames] for other in (clip, *levels)]
+        each = [distances([x[0], level])[0, 1] / size for level in x[1:]]
         error = known.get(row.name, convergence.error_of(np.array(each)))
         if error is None:
             return replace(row, from_finest=apart)
