@@ -278,7 +278,10 @@ def make_advance(form: str):
         span = share(count_of(counts), p, counts.shape[0])
         beta = wp.float64(0.0)
         if begun > 0:
-            beta = total(sums_out, turn) / total(sums_out, 1 - turn)
+            previous = total(sums_out, 1 - turn)
+            # The sum is 0 if the solution is exact; a GPU continues until the next check.
+            if previous > wp.float64(0.0):
+                beta = total(sums_out, turn) / previous
         clear_rigid(sums_out, solids, p)
         sums_out[STEEP, p] = turn_in(
             span[0],
