@@ -7,6 +7,7 @@ import warp as wp
 from phy124.boundaries import Ground, HalfSpace, Held
 from phy124.forces import Acceleration
 from phy124.kernels.lattice import points, work
+from phy124.kernels.lattice.simd import has_stress
 from phy124.kernels.lattice.stress import CLOSING, GRADIENT, SPEED
 from phy124.lattice import impulses, kernels, material, solids
 from phy124.lattice import walls as lattice_walls
@@ -42,6 +43,13 @@ def test_simd_and_plain_stress_agree(damping):
     for which in (GRADIENT, CLOSING):
         assert limits[0][which] == pytest.approx(limits[1][which], rel=1e-3)
     assert limits[0][SPEED] >= limits[1][SPEED]
+
+
+def test_simd_stress_is_chosen_by_the_stress_function():
+    """A plug-in may name its own law as it likes."""
+    law = NeoHookean(damping=1.0).device_law
+    assert has_stress(law) and has_stress(law._replace(name="rubber"))
+    assert not has_stress(Hencky().device_law._replace(name="neo_hookean_log"))
 
 
 @pytest.mark.parametrize("law", [pytest.param(FixedCorotated, marks=pytest.mark.slow), Hencky])

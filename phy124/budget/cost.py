@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from phy124.forces import Force, TotalForce, WrenchForce
 from phy124.gaussians import Gaussians
+from phy124.kernels.lattice.simd import has_stress
 from phy124.liquid.clock import CELLS, DIFFUSED, WAVES
 from phy124.mpm.timestep import CELLS_PER_STEP, STRAIN_PER_STEP, beside_elastic
 from phy124.particles import Particles
@@ -248,9 +249,8 @@ def _only_lattices(scene: Scene) -> bool:
 
 def _has_vectors(scene: Scene) -> bool:
     """Return whether kernels for vector units compute the stress on lattices."""
-    laws = {section.device_law.name for section in scene.materials}
     single = scene.precision == "float32"
-    return single and all(law.startswith("neo_hookean") for law in laws)
+    return single and all(has_stress(section.device_law) for section in scene.materials)
 
 
 class Estimate(NamedTuple):

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from phy124.kernels.arguments import Doubles, Ints
 from phy124.kernels.build import build_once
 from phy124.kernels.diagnostics import ELASTIC, POWER
+from phy124.kernels.elastic import neo_hookean, neo_hookean_damped
 from phy124.kernels.lattice.nodes import make_drift, make_kick
 from phy124.kernels.lattice.points import PER_CELL
 from phy124.kernels.lattice.stress import QUADRATIC, STEEPEST
@@ -46,7 +47,7 @@ def usable(real: Any, device: str) -> bool:
 
 def has_stress(law: Law) -> bool:
     """Return whether a vectorised stress kernel exists for a constitutive law."""
-    return law.name.startswith("neo_hookean")
+    return law.stress in (neo_hookean, neo_hookean_damped)
 
 
 class Blocks(NamedTuple):
