@@ -7,6 +7,7 @@ import pytest
 import warp as wp
 
 from phy124.kernels import collide, forces, grid, measure, timestep, transfer, work
+from phy124.kernels.lattice import impulses
 from phy124.materials import FixedCorotated, NeoHookean, Sand
 from phy124.mpm import free
 from phy124.pipeline.warming import HOST
@@ -79,8 +80,10 @@ def test_grid_and_pushes_compile_for_cuda(tmp_path):
     [
         (measure.make_measure(NeoHookean().device_law, wp.float32), 9),
         (work.make_wall_sums(wp.float32), 2 * work.EXCHANGE),
+        # Only the work is summed over a warp, because its threads may have different clamps.
+        (impulses.make_pass_on(wp.float32), 2),
     ],
-    ids=["measure", "wall sums"],
+    ids=["measure", "wall sums", "clamps"],
 )
 def test_a_warp_reduces_before_it_writes(kernel, numbers, tmp_path):
     """Five exchanges for each 32-bit number, so that one of 32 threads writes."""

@@ -85,7 +85,11 @@ def load(grid: wp.array(dtype=wp.vec4d), node: int) -> wp.vec4d:  # noqa: F811
 
 @wp.func_native(code("reduction:sum", "reduction:warp", "reduction:add_to"))
 def add_to(sums: wp.array(dtype=wp.float64), index: int, value: wp.float64):
-    """Add a thread's value to a sum over all threads."""
+    """Add a thread's value to a sum over all threads.
+
+    All threads of a warp that call this function together must have the same array and index, since
+    the first one of them adds the sum of their values.
+    """
     ...
 
 
@@ -101,13 +105,13 @@ def raise_all(maxima: wp.array(dtype=Any), values: Any):
 
 @wp.func_native(code("reduction:most", "reduction:warp", "reduction:raise_to"))
 def raise_to(maxima: wp.array(dtype=Any), index: int, value: Any):
-    """Raise a maximum over all threads to at least a value."""
+    """Raise a maximum over all threads to at least a value; array and index as in `add_to`."""
     ...
 
 
 @wp.func_native(code("reduction:least", "reduction:warp", "reduction:lower_to"))
 def lower_to(minima: wp.array(dtype=int), index: int, value: int):
-    """Lower a minimum over all threads to at most a value."""
+    """Lower a minimum over all threads to at most a value; array and index as in `add_to`."""
     ...
 
 

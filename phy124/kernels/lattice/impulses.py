@@ -10,10 +10,32 @@ import warp as wp
 
 from phy124.kernels.arguments import Ints
 from phy124.kernels.build import build_once, kernel
-from phy124.kernels.diagnostics import add3, wide
+from phy124.kernels.diagnostics import wide
 from phy124.kernels.lattice.contact import DRIVEN, MOMENT
 from phy124.kernels.reduction import add_to
-from phy124.kernels.work import WORK, add_exchange
+from phy124.kernels.work import IMPULSE, MOVED, TURNED, WORK
+
+
+@wp.func
+def add_to_clamp(
+    clamps: wp.array2d(dtype=wp.float64),
+    row: int,
+    impulse: wp.vec3d,
+    moment: wp.vec3d,
+    work: wp.float64,
+    driven: wp.float64,
+):
+    """Add an impulse, its moment and its work to the sums of a clamp.
+
+    Threads of a warp may have different clamps, which `reduction.add_to` does not support.
+    """
+    for c in range(3):
+        wp.atomic_add(clamps, row, IMPULSE + c, impulse[c])
+        wp.atomic_add(clamps, row, MOMENT + c, moment[c])
+    wp.atomic_add(clamps, row, WORK, work)
+    wp.atomic_add(clamps, row, MOVED, wp.length(impulse))
+    wp.atomic_add(clamps, row, TURNED, wp.abs(work))
+    wp.atomic_add(clamps, row, DRIVEN, driven)
 
 
 @build_once
@@ -82,16 +104,15 @@ def make_pass_on(real: Any):
                 n = nodes[s, k]
                 if weights[s, k] != real(0.0) and inverse[n] == real(0.0) and whole[n] > real(0.0):
                     back = -wp.float64(weights[s, k]) * impulse
-                    sums = clamps_out[holder[n]]
+                    driven = wp.float64(0.0)
                     work = wp.float64(0.5) * wp.dot(back, wide(v_before[n]) + wide(v[n]))
                     if sums_out.shape[0] > 0:
                         add_to(sums_out, wp.static(WORK), work)
                         work = wp.float64(0.0)
                     else:
-                        add_to(sums, wp.static(DRIVEN), work)
-                    add_exchange(sums, back, work, wp.length(back), wp.abs(work))
-                    at = wide(rest[n]) + wide(u[n])
-                    add3(sums, wp.static(MOMENT), wp.cross(at, back))
+                        driven = work
+                    moment = wp.cross(wide(rest[n]) + wide(u[n]), back)
+                    add_to_clamp(clamps_out, holder[n], back, moment, work, driven)
                     if impulse_out.shape[0] > 0:
                         wp.atomic_add(impulse_out, n, back)
 
