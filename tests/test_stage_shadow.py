@@ -136,7 +136,10 @@ def test_both_forms_of_the_kernel_cover_the_same_cells(rng, monkeypatch):
     means[5], scales[7], scales[20] = np.nan, np.inf, 1e30
     opacities = rng.uniform(0, 1, n)
     opacities[9] = np.nan
-    cloud = Gaussians.from_rgb(means, rng.normal(size=(n, 4)), scales, opacities, np.ones((n, 3)))
+    quats = rng.normal(size=(n, 4))
+    means[11:13], scales[11:13], opacities[11:13] = (0, 0, 0.5), 0.1, 0.7
+    quats[11, 1], quats[12, 0] = np.nan, np.inf
+    cloud = Gaussians.from_rgb(means, quats, scales, opacities, np.ones((n, 3)))
     caster = Caster((0.0, 0.0), 1.5, 1.0)
     fast = caster._depth(cloud, 0.0)
     monkeypatch.setattr(shadow, "covering", lambda device: (cover, 1))

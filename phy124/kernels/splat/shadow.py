@@ -53,7 +53,10 @@ def cover(
     n = wp.tid()
     mean = means[n]
     scale = scales[n]
+    q = quats[n]
     sums = mean[0] + mean[1] + mean[2] + scale[0] + scale[1] + scale[2]
+    # Normalising would turn a NaN quaternion into a finite rotation.
+    sums += q[0] + q[1] + q[2] + q[3]
     # Any comparison with NaN is false.
     if not (opacities[n] > 0.004 and finite(sums)):
         return
@@ -63,7 +66,6 @@ def cover(
     level = last * wp.sqrt(wp.min(height / tallest, 1.0))
     layer = wp.min(int(level), layers_out.shape[0] - 2)
     upper = level - float(layer)
-    q = quats[n]
     turn = wp.quat_to_matrix(wp.normalize(wp.quat(q[1], q[2], q[3], q[0])))
     # Screen axes as in project.py, but in cells.
     radii = wp.sqrt(weight) / cell * scale
