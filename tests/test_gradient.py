@@ -1,5 +1,7 @@
 """Stress and strain by the gradients of the weights: affine motions, momentum, a bent beam."""
 
+import math
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,7 @@ from phy124.accuracy.promises import promise
 from phy124.errors import InputError
 from phy124.materials import NeoHookean
 from phy124.mpm import Model, Solver, State
+from phy124.mpm.timestep import beside_elastic
 from phy124.particles.thickness import Proportions
 from phy124.scene import Scene
 from phy124.simulation.solver import kernels
@@ -41,6 +44,25 @@ def test_stress_gives_no_momentum():
     momenta = solver.model.mass.numpy()[:, None] * solver.state.v.numpy()
     assert np.abs(momenta).sum() > 0.1
     assert np.abs(momenta.sum(axis=0)).max() < 1e-4 * np.abs(momenta).sum()
+
+
+@pytest.mark.parametrize("share", [0.0, 0.6])
+def test_particles_between_nodes_only_calm_down(share):
+    """With the boldest cfl, without viscosity and with 0.6 of its limit."""
+    dx, cfl = 0.1, 0.9
+    elastic = NeoHookean(E=1e5, nu=0.0, density=1000.0)
+    dt = cfl * math.sqrt(0.5) * dx / elastic.wave_speed()
+    eta = share * beside_elastic(cfl) * 1000.0 * dx**2 / (8 * dt)
+    section = elastic.model_copy(update={"damping": eta})
+    x = 0.8 * lattice((3, 3, 3), 1.0) + np.linspace(0.047, 0.053, 81).reshape(27, 3)
+    model = Model.of(x, np.full(27, dx**3), [section], dx=dx, cfl=cfl, gradient="spline")
+    state = State.of(model)
+    state.F.assign(np.tile(np.diag([1.001, 0.998, 1.0015]), (27, 1, 1)).astype(np.float32))
+    solver = Solver(model, state, threads=1)
+    for part in range(10, 310, 10):
+        solver.advance(part * dt)
+        assert solver.clock.substeps < 1.2 * part
+        assert np.abs(solver.state.F.numpy() - np.eye(3)).max() < 0.003
 
 
 def test_no_error_is_promised_that_was_not_measured():

@@ -1,9 +1,16 @@
 import math
+from itertools import product
 
 import numpy as np
 import pytest
 
-from phy124.mpm.timestep import MEASURE_EVERY, Extremes, beside_elastic, stable_substep
+from phy124.mpm.timestep import (
+    ELASTIC_LIMIT,
+    MEASURE_EVERY,
+    Extremes,
+    beside_elastic,
+    stable_substep,
+)
 
 
 @pytest.mark.parametrize(
@@ -31,12 +38,13 @@ def test_viscosity_limits_under_its_own_name():
 
 
 def test_friction_leaves_room_for_stiffness():
-    """omega dt = 2 cfl and gamma dt: stable while both roots stay in the unit circle."""
-    for cfl in (0.3, 0.6, 0.8, 0.9):
+    """The strain and C of an isolated particle: stable while both roots are in the unit circle."""
+    for (kind, limit), cfl in product(ELASTIC_LIMIT.items(), (0.3, 0.6, 0.8, 0.9)):
+        g, a = {"affine": 4, "spline": 6}[kind], (cfl * limit) ** 2
         fraction = beside_elastic(cfl)
         for rate, stable in ((0.98 * fraction, True), (2 - 2 * cfl**2 + 0.02, False)):
-            roots = np.roots([1, -(2 - rate - (2 * cfl) ** 2), 1 - rate])
-            assert (np.abs(roots).max() <= 1 + 1e-9) == stable, (cfl, rate)
+            roots = np.linalg.eigvals([[1 - g * a, 1 - g / 4 * rate], [-4 * a, 1 - rate]])
+            assert (np.abs(roots).max() <= 1 + 1e-9) == stable, (kind, cfl, rate)
 
 
 def test_nothing_moves_and_nothing_is_stiff():

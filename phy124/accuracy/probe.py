@@ -441,7 +441,8 @@ def substeps_at_rest(solver: AnySolver) -> float:
     lattices: LatticeSolver | None = getattr(solver, "lattice", None)
     of_lattices = 0.0 if lattices is None else 1 / lattices.limits.substep_at_rest
     clock = solver.clock
-    return max(of_lattices, math.sqrt(clock.extremes.stiffness) / (clock.cfl * solver.model.dx))
+    elastic = clock.cfl * clock.elastic_limit * solver.model.dx
+    return max(of_lattices, math.sqrt(clock.extremes.stiffness) / elastic)
 
 
 def _on_device(solver: AnySolver) -> bool:

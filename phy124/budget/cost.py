@@ -18,7 +18,7 @@ from phy124.forces import Force, TotalForce, WrenchForce
 from phy124.gaussians import Gaussians
 from phy124.kernels.lattice.simd import has_stress
 from phy124.liquid.clock import CELLS, DIFFUSED, WAVES
-from phy124.mpm.timestep import CELLS_PER_STEP, STRAIN_PER_STEP, beside_elastic
+from phy124.mpm.timestep import CELLS_PER_STEP, ELASTIC_LIMIT, STRAIN_PER_STEP, beside_elastic
 from phy124.particles import Particles
 from phy124.scene import Scene
 
@@ -232,7 +232,7 @@ def longest_substeps(scene: Scene) -> NDArray[np.float64]:
     rotation = math.sqrt(2) * max(math.hypot(*body.spin) for body in scene.every_object)
     longest = min(scene.time.ceiling, STRAIN_PER_STEP / max(rotation, 1e-9))
     crossing = scene.dx / max(section.wave_speed() for section in materials)
-    elastic = fraction * crossing
+    elastic = fraction * ELASTIC_LIMIT[scene.resolution.gradient] * crossing
     factors = scene.softnesses(np.arange(scene.time.frames - 1) / scene.time.fps)
     if _only_lattices(scene):
         damping = DAMPED * crossing / viscous

@@ -39,8 +39,10 @@ class Clock(Kept):
         self, model: Model, *, ceiling: float = math.inf, measure_every: int = MEASURE_EVERY
     ) -> None:
         self.dx, self.viscous = model.dx, model.viscous
-        self.cfl, self.ceiling = model.cfl, ceiling
-        """Substep length as a fraction of the elastic limit, and the largest allowed length [s]."""
+        self.cfl, self.elastic_limit, self.ceiling = model.cfl, model.elastic_limit, ceiling
+        """Substep length as a fraction of the elastic limit; this limit in units of dx sqrt(rho0 /
+        A); and the largest allowed length [s].
+        """
         self.ceiling_name = "user"
         """Name of the limit `ceiling`: user, or retry while a frame is repeated."""
         self.measure_every = measure_every
@@ -96,6 +98,7 @@ class Clock(Kept):
                     self.extremes,
                     self.dx,
                     cfl=self.cfl,
+                    elastic_limit=self.elastic_limit,
                     ceiling=self.ceiling,
                     viscous=self.viscous,
                     ceiling_name=self.ceiling_name,

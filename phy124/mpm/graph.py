@@ -132,7 +132,7 @@ class Graph:
         limits = {
             "until": until,
             "dx": dx,
-            "reach": clock.cfl * dx,
+            "reach": clock.cfl * clock.elastic_limit * dx,
             "stride": CELLS_PER_STEP * dx,
             "turn": STRAIN_PER_STEP,
             "viscous": clock.viscous,

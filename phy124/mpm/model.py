@@ -17,7 +17,7 @@ from phy124.kernels.launches import record
 from phy124.kernels.transfer import Law
 from phy124.materials import Material
 from phy124.mpm.kept import Kept
-from phy124.mpm.timestep import CFL, beside_elastic
+from phy124.mpm.timestep import CFL, ELASTIC_LIMIT, beside_elastic
 
 PRECISIONS = {"float32": wp.float32, "float64": wp.float64}
 
@@ -242,6 +242,11 @@ class Model:
     def real(self) -> Any:
         """Warp's floating point type of the model's precision."""
         return PRECISIONS[self.precision]
+
+    @property
+    def elastic_limit(self) -> float:
+        """The elastic limit in units of dx sqrt(rho0 / A); see `timestep.ELASTIC_LIMIT`."""
+        return ELASTIC_LIMIT["spline" if self.form == "spline" else "affine"]
 
     @property
     def viscous(self) -> float:

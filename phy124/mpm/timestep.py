@@ -2,8 +2,8 @@
 
 dt = min(k dx sqrt(rho0 / A), 0.5 dx / |v|, 0.4 / |C|), where A is the largest eigenvalue of d tau /
 d ln sigma, |v| is the largest speed, and |C| is the largest velocity gradient. The first limit
-follows from an isolated particle, which is a harmonic oscillator with omega^2 = 4 A / (rho0 dx^2).
-See docs/design/physics.md.
+follows from an isolated particle. With affine gradients, this particle is a harmonic oscillator
+with omega^2 = 4 A / (rho0 dx^2). See `ELASTIC_LIMIT` and docs/design/physics.md.
 
 If the length of the substep followed A in phase with a vibration, the vibration would gain energy.
 Leapfrog with equal substeps conserves energy, so the assumed A decays slowly.
@@ -21,6 +21,13 @@ from phy124.kernels.measure import GRADIENT, HIGH, LOW, SPEED, STIFFNESS
 
 CFL = 0.75
 """Length of a substep as a fraction of the elastic limit."""
+ELASTIC_LIMIT = {"affine": 1.0, "spline": math.sqrt(0.5)}
+"""Elastic limit in units of dx sqrt(rho0 / A), for each kind of velocity gradient.
+
+A strain e of an isolated particle changes its velocity gradient by -g A e dt / (rho0 dx^2). For
+affine gradients, g is 4. For gradients of the weights, g = sum w'^2 / w is at most 6, halfway
+between two nodes, but C changes as for g = 4. Such a particle is stable up to sqrt(2 / (g - 2)).
+"""
 CELLS_PER_STEP = 0.5
 """Largest distance that a particle moves in one substep [cells]."""
 STRAIN_PER_STEP = 0.4
@@ -88,6 +95,7 @@ def stable_substep(
     dx: float,
     *,
     cfl: float = CFL,
+    elastic_limit: float = 1.0,
     ceiling: float = math.inf,
     viscous: float = math.inf,
     ceiling_name: str = "user",
@@ -98,12 +106,13 @@ def stable_substep(
         extremes: The largest speed, gradient and stiffness of the particles.
         dx: Grid spacing [m].
         cfl: Fraction of the elastic limit to use.
+        elastic_limit: The elastic limit in units of dx sqrt(rho0 / A); see `ELASTIC_LIMIT`.
         ceiling: Longest substep allowed [s].
         viscous: Longest substep that viscosity allows [s].
         ceiling_name: Name of the limit `ceiling`.
     """
     limits = {
-        "elastic": _divide(cfl * dx, math.sqrt(extremes.stiffness)),
+        "elastic": _divide(cfl * elastic_limit * dx, math.sqrt(extremes.stiffness)),
         "speed": _divide(CELLS_PER_STEP * dx, extremes.speed),
         "gradient": _divide(STRAIN_PER_STEP, extremes.gradient),
         "viscous": viscous,
@@ -123,7 +132,8 @@ def beside_elastic(cfl: float) -> float:
     limit.
 
     An oscillator with omega dt = 2 cfl and damping gamma dt, both integrated explicitly, is stable
-    while (omega dt)^2 <= 4 - 2 gamma dt.
+    while (omega dt)^2 <= 4 - 2 gamma dt. The condition is the same for both elastic limits of
+    `ELASTIC_LIMIT`.
     """
     return min(1.0, 2 - 2 * cfl * cfl)
 

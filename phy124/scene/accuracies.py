@@ -40,7 +40,7 @@ class Accuracy(Section):
     gradient: Literal["affine", "spline"] = omit_default("affine")
     """Velocity gradient from which stress and strain are computed. affine: the affine fit around
     each particle (MLS-MPM), with which objects that bend by several cells are too soft. spline: the
-    gradients of the interpolation weights, for transfer = apic only; takes 1.7 to 4 times as long.
+    gradients of the interpolation weights, for transfer = apic only; takes 1.4 to 6 times as long.
     """
     solver: Literal["auto", "mpm", "lattice"] = omit_default("auto")
     """Solver of elastic objects. mpm: the material point method. lattice: a lattice in the
