@@ -199,6 +199,16 @@ def test_a_second_look_at_the_stops_runs_nothing(monkeypatch):
     assert forecaster.stops(OBJECT, scene("push_right")) == stops
 
 
+@pytest.mark.parametrize(("name", "times"), [("metal", 2), ("drop", 1)])
+def test_times_of_videos_depend_on_glossy_materials_only(monkeypatch, name, times):
+    timed, forecaster = [], Forecaster()
+    monkeypatch.setattr(module, "time_film", lambda setup, context: timed.append(setup) or {})
+    for density in (900.0, 1100.0):
+        changes = {"accuracy": {"cells": 8}, "time.frames": 2, "material.density": density}
+        forecaster._filming(prepare(OBJECT, Scene.named(name).replaced(changes)))
+    assert len(timed) == times
+
+
 def test_pixels_per_size_is_what_the_camera_sees():
     assert pixels_per_size(scene("press", **{"view.size": 512})) == 512 / ROOM
     chosen = scene("press", **{"view.size": 512, "view.distance": 2.5})

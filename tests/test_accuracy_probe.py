@@ -126,5 +126,13 @@ def test_a_liquid_at_rest_is_probed(monkeypatch, viscosity):
     [({"formats": ["ply"]}, {"export"}), ({"formats": [], "outputs": ["depth"]}, {"outputs"})],
 )
 def test_forecast_without_videos_has_no_encoding(view, stages):
-    scene = Scene.named("drop").replaced({"view": {"size": 32, **view}, "time.frames": 2})
-    assert set(time_film(ball(50), scene, RunContext())) == {"save", "render", *stages}
+    scene = Scene.named("drop").replaced({**QUICK, "view": {"size": 32, **view}})
+    predicted = time_film(prepare(ball(200), scene), RunContext())
+    assert set(predicted) == {"save", "render", *stages}
+
+
+@pytest.mark.parametrize(("name", "shines"), [("water", True), ("metal", True), ("jelly", False)])
+def test_forecast_has_the_time_of_highlights(name, shines):
+    changes = {"accuracy": {"cells": 8}, "time.frames": 2, "view": {"size": 32}}
+    setup = prepare(ball(200), Scene.named(name).replaced(changes))
+    assert ("shine" in time_film(setup, RunContext())) == shines

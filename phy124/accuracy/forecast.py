@@ -33,7 +33,7 @@ from phy124.particles.thickness import Proportions
 from phy124.rendering.nearest import ROOM
 from phy124.runtime.context import RunContext
 from phy124.scene import AccuracyName, Scene
-from phy124.simulation import Simulation, prepare
+from phy124.simulation import Setup, Simulation, prepare
 
 SPEED_UP = 0.72
 """Increase of the speed-up with each additional thread."""
@@ -245,7 +245,7 @@ class Forecaster:
         stages = {
             "simulate": substeps * per_substep + scene.time.frames * each_frame,
             "deform": once + scene.time.frames * each_shape,
-            **(self._filming(simulation.setup.shown, scene) if filming else {}),
+            **(self._filming(simulation.setup) if filming else {}),
         }
         cost = companion.forecast(simulation, substeps)
         wanted = error and self.error and scene.time.frames >= companion.FEWEST
@@ -293,10 +293,10 @@ class Forecaster:
         key = ("pilot", *_sample(setup.gaussians), _physics(coarsen(scene)), setup.crop)
         return self._remember(key, lambda: run_pilot(gaussians, scene, self.context, **options))
 
-    def _filming(self, gaussians: Gaussians, scene: Scene) -> dict[str, float]:
-        view = scene.view
-        key = ("film", len(gaussians), view, scene.time.frames)
-        return self._remember(key, lambda: time_film(gaussians, scene, self.context))
+    def _filming(self, setup: Setup) -> dict[str, float]:
+        scene = setup.scene
+        key = ("film", len(setup.shown), scene.view, scene.time.frames, _look(setup))
+        return self._remember(key, lambda: time_film(setup, self.context))
 
     def _remember(self, key: Any, make: Any, keep: Any = None) -> Any:
         """Return the stored value for a key, or compute and store the value.
@@ -327,6 +327,15 @@ def pixels_per_size(scene: Scene) -> float:
         return min(scene.view.size) / ROOM  # the size of an object at rest
     half_height = np.tan(np.radians(scene.view.fov / 2)) * scene.view.distance
     return float(min(scene.view.size) / (2 * half_height))
+
+
+def _look(setup: Setup) -> tuple[Any, ...]:
+    """Return the materials that have highlights, shadows or surfaces of their own, and the side of
+    a cell [m], which determines these surfaces. The result is empty without such materials.
+    """
+    drawn = [m for m in setup.materials if m.shines or m.lit or m.dents or m.crumbles]
+    materials = tuple(section.model_dump_json() for section in drawn)
+    return (setup.scene.dx, *materials) if drawn else ()
 
 
 def _physics(scene: Scene) -> str:

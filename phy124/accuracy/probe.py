@@ -7,6 +7,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeGuard
 
@@ -26,18 +27,21 @@ from phy124.monitor.watchdog import Watchdog
 from phy124.motion.deform import Deformer
 from phy124.mpm import Solver, Unstable
 from phy124.mpm.workers import HOST
-from phy124.rendering.film import film
+from phy124.rendering.film import cameras, film
+from phy124.rendering.shine import make_shine
 from phy124.runtime.compiling import is_compiled
 from phy124.runtime.context import RunContext
 from phy124.runtime.cores import cores
-from phy124.scene import Scene
+from phy124.scene import Scene, View
 from phy124.simulation import Simulation, prepare
+from phy124.simulation.report import report_clip
 from phy124.simulation.solver import kernels
 
 if TYPE_CHECKING:
     from phy124.lattice.solver import LatticeSolver
     from phy124.liquid import AnySolver
     from phy124.simulation.bodies import Placed
+    from phy124.simulation.setup import Setup
 
 PROBE = 20
 """Largest number of substeps in a trial run."""
@@ -212,8 +216,9 @@ def time_shapes(simulation: Simulation) -> tuple[float, float]:
     return once, measure_time(lambda: deform(x, F, index=1, time=0.0, velocities=v))
 
 
-def time_film(gaussians: Gaussians, scene: Scene, context: RunContext) -> dict[str, float]:
+def time_film(setup: Setup, context: RunContext) -> dict[str, float]:
     """Predict the times of rendering, encoding and saving [s] from a few frames in one view."""
+    scene = setup.scene
     front = scene.view.model_copy(update={"views": ("front",)}).only("front")
     views, frames = len(scene.view.sides), scene.time.frames
     few, more = FILMED
@@ -222,14 +227,18 @@ def time_film(gaussians: Gaussians, scene: Scene, context: RunContext) -> dict[s
     for count in (few, *TRIES * FILMED):
         probe_context = context.aside()
         with tempfile.TemporaryDirectory() as folder:
-            clip = _make_moving_clip(gaussians, scene, count)
+            clip = _make_moving_clip(setup, count)
             film(clip, front, folder, probe_context)
         seconds[count].append(probe_context.watch.seconds)
     with tempfile.TemporaryDirectory() as folder:
-        clip = _make_moving_clip(gaussians, scene, more)
+        clip = _make_moving_clip(setup, more)
         saving = measure_time(lambda: clip.save(Path(folder) / "clip.safetensors")) * frames / more
     shortest = {n: min(seconds[n], key=lambda s: sum(s.values())) for n in FILMED}
     predicted = {"save": saving, "render": views * frames * shortest[more]["render"] / more}
+    if "shine" in shortest[more]:
+        common = _fraction_of_surfaces(clip, front)
+        often = common + views * (1 - common)
+        predicted["shine"] = often * frames * shortest[more]["shine"] / more
     if "encode" in shortest[more]:
         each = max(shortest[more]["encode"] - shortest[few]["encode"], 0.0) / (more - few)
         first = max(shortest[few]["encode"] - each * few, 0.0)
@@ -239,6 +248,19 @@ def time_film(gaussians: Gaussians, scene: Scene, context: RunContext) -> dict[s
     if "export" in shortest[more]:
         predicted["export"] = frames * shortest[more]["export"] / more
     return predicted
+
+
+def _fraction_of_surfaces(clip: Clip, view: View) -> float:
+    """Return the fraction of the time of highlights and reflections that all views share, because
+    the surfaces of the materials do not depend on the view.
+    """
+    shine = make_shine(clip, view)
+    if shine is None:
+        return 0.0
+    frame = clip.frame(0, velocities=shine.needs_velocities)
+    light = partial(shine.illuminate, frame, cameras(clip, view, view.sides[0])[0])
+    both, lighting = measure_time(light), measure_time(light)
+    return max(1 - lighting / both, 0.0)
 
 
 def seconds_to_compile(scene: Scene, device: str = "cpu") -> float:
@@ -253,11 +275,11 @@ def seconds_to_compile(scene: Scene, device: str = "cpu") -> float:
     return max(sum(seconds) / cores(), max(seconds, default=0.0))
 
 
-def _make_moving_clip(gaussians: Gaussians, scene: Scene, count: int) -> Clip:
+def _make_moving_clip(setup: Setup, count: int) -> Clip:
     """Return a clip in which the object moves by 1 % of its size per frame, as is typical."""
-    n = len(gaussians)
+    gaussians, scene, n = setup.shown, setup.scene, len(setup.shown)
     shift = np.arange(count, dtype=np.float32)[:, None, None] * np.float32(scene.object.size / 100)
-    return Clip(
+    clip = Clip(
         np.asarray(gaussians.means)[None] + (shift * np.array([0, 1, 0])).astype(np.float32),
         np.broadcast_to(gaussians.quats, (count, n, 4)),
         np.broadcast_to(gaussians.scales, (count, n, 3)),
@@ -267,6 +289,7 @@ def _make_moving_clip(gaussians: Gaussians, scene: Scene, count: int) -> Clip:
         scene=scene.data(),
         contacts=np.zeros((count, n, 3), np.float32) if scene.keeps_contacts else None,
     )
+    return clip.with_report({**report_clip(setup, clip), "grid": {"dx": scene.dx}})
 
 
 CELLS = 16
