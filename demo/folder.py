@@ -22,7 +22,8 @@ except ImportError:  # Windows
     fcntl = None
 
 PREFIX = "phy124-web-"
-LOCK = "lock"
+LOCK = "phy124-page.lock"
+"""The file that marks a folder as the page's: the page deletes everything else in it."""
 NO_LINKS = getattr(os, "O_NOFOLLOW", 0)
 
 
@@ -68,7 +69,7 @@ def _sweep(folder: Path) -> None:
     for left in folder.glob(f"{PREFIX}*"):
         if left.is_symlink() or not left.is_dir() or left.stat().st_uid != os.getuid():
             continue
-        lock = _lock(left)
+        lock = _lock(left) if (left / LOCK).exists() else None
         if lock is not None:
             shutil.rmtree(left, ignore_errors=True)
             os.close(lock)

@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from demo.folder import PREFIX, lock_folder
+from demo.folder import LOCK, PREFIX, lock_folder
 from phy124.errors import InputError
 
 
@@ -88,7 +88,7 @@ def test_named_folder_is_emptied_unless_it_has_other_files(tmp_path):
             lock_folder(str(root)),
         ):
             pass
-    assert [path.name for path in (tmp_path / "a").iterdir()] == ["lock"]
+    assert [path.name for path in (tmp_path / "a").iterdir()] == [LOCK]
     with lock_folder(str(tmp_path / "a")):
         pass
     (tmp_path / "b").mkdir()
@@ -99,3 +99,11 @@ def test_named_folder_is_emptied_unless_it_has_other_files(tmp_path):
     ):
         pass
     assert [path.name for path in (tmp_path / "b").iterdir()] == ["letter"]
+
+
+def test_folder_with_another_programs_lock_file_is_refused(tmp_path):
+    (tmp_path / "lock").write_text("apt")
+    (tmp_path / "thesis.txt").write_text("x")
+    with pytest.raises(InputError, match="holds other files"), lock_folder(str(tmp_path)):
+        pass
+    assert (tmp_path / "thesis.txt").exists()
