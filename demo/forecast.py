@@ -18,6 +18,7 @@ from phy124.accuracy.promises import Promise, promise, why_broken
 from phy124.budget.cost import GAUSSIANS, Rates, Work, count_particles
 from phy124.budget.limits import duration
 from phy124.gaussians import Gaussians
+from phy124.imaging.painted import WHOLE, Crop
 from phy124.particles.thickness import Proportions
 from phy124.runtime.context import RunContext
 from phy124.scene import PRESETS, Scene
@@ -245,16 +246,19 @@ def _alone(report: dict[str, Any], load: Load) -> dict[str, Any]:
     return {**report, "stages": stages}
 
 
-def probe_estimate(gaussians: Gaussians, scene: Scene, device: str, rest: float) -> Estimate:
+def probe_estimate(
+    gaussians: Gaussians, scene: Scene, context: RunContext, rest: float, crop: Crop = WHOLE
+) -> Estimate:
     """Predict the time of a run by a trial run with the object; the trial takes half a second.
 
     Args:
         gaussians: The object.
         scene: The scene.
-        device: Warp device.
+        context: Device and number of threads.
         rest: Predicted time of all other stages [s].
+        crop: Position of the object in the picture on which the masks of parts were painted.
     """
-    probe = Forecaster(RunContext(device=device)).forecast(gaussians, scene)
+    probe = Forecaster(context).forecast(gaussians, scene, crop=crop)
     films = sum(probe.stages.get(name, 0.0) for name in ("render", "encode"))
     return Estimate(
         probe.seconds + rest,

@@ -22,6 +22,7 @@ from phy124.errors import InputError
 from phy124.imaging.objects import Point
 from phy124.io.formats import is_file_of_gaussians
 from phy124.particles.thickness import Proportions
+from phy124.runtime.context import RunContext
 from phy124.runtime.device import pick_device
 from phy124.runtime.isolated import Deadline
 from phy124.scene import Scene
@@ -53,6 +54,7 @@ from .work import (
     trial_key,
 )
 from .work.order import count_of, order_of
+from .work.others import with_crops
 
 CUTTERS = 2
 """Number of pictures that are cut out in parallel."""
@@ -204,10 +206,14 @@ class Studio:
             device = pick_device(self.settings.device)
             if not ready["generated"] or ready["simulated"] or seconds_to_compile(scene, device):
                 return None
+            if not all(other.cutout.exists() for other in order.others):
+                return None
             gaussians = gaussians_of(order, made_gaussians(order))
             rates = self.forecaster.rates
             rest = rates.rest + rates.pixel * ready["composed"]
-            estimate = probe_estimate(gaussians, order.scene, device, rest)
+            context = RunContext(device=device, threads=order.threads)
+            placed = with_crops(order.scene, order.others)
+            estimate = probe_estimate(gaussians, placed, context, rest, order.crop)
             visitor.forecasts[trial_key(order)] = estimate.seconds
             visitor.proportions[str(made_gaussians(order))] = estimate.proportions
         finally:
@@ -378,6 +384,8 @@ class Studio:
             self.searches.append(search_seconds())
         if self.settings.warm_up and not self.forks:
             with DEVICE:
-                warm_up(device := self.settings.device)
-                self.forecaster.calibrate(partial(tiny_run, device), partial(example_run, device))
+                device = pick_device(self.settings.device)
+                context = RunContext(device=device, threads=self.settings.threads or None)
+                warm_up(context)
+                self.forecaster.calibrate(partial(tiny_run, context), partial(example_run, context))
         self.warm.set()

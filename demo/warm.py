@@ -15,20 +15,19 @@ from phy124.gaussians import Gaussians
 from phy124.imaging.cutout import foreground
 from phy124.pipeline.warming import warm
 from phy124.runtime.context import RunContext
-from phy124.runtime.device import pick_device
 from phy124.scene import Scene, preset_names
 
 COUNT = 500
 EXAMPLE = Path(__file__).parent / "examples/duck.png"
 
 
-def warm_up(device: str) -> None:
+def warm_up(context: RunContext) -> None:
     """Compile and load the kernels of all presets."""
     scenes = [Scene.named(name) for name in preset_names()]
-    warm(scenes, RunContext(device=pick_device(device)))
+    warm(scenes, context)
 
 
-def tiny_run(device: str) -> tuple[dict[str, Any], Scene]:
+def tiny_run(context: RunContext) -> tuple[dict[str, Any], Scene]:
     """Make a run with hardly any work, and return its report and its scene.
 
     The times in this report are mostly the fixed costs of a substep and of a video.
@@ -36,16 +35,16 @@ def tiny_run(device: str) -> tuple[dict[str, Any], Scene]:
     few = {"accuracy": {"cells": 8, "particles_per_axis": 1.0}, "time.frames": 2}
     scene = Scene.named("press").replaced({**few, "view.size": 32, "view.views": ["front"]})
     with tempfile.TemporaryDirectory() as folder:
-        result = pipeline.simulate(_ball(), scene, folder, device=pick_device(device))
+        result = pipeline.simulate(_ball(), scene, folder, context.aside())
     return result.report, scene
 
 
-def example_run(device: str) -> tuple[dict[str, Any], Scene]:
+def example_run(context: RunContext) -> tuple[dict[str, Any], Scene]:
     """Make a short run to measure costs per particle and per pixel; return its report and scene."""
     short = {"accuracy": "draft", "time.frames": 5, "view.views": ["front"]}
     scene = Scene.named("press").replaced(short)
     with tempfile.TemporaryDirectory() as folder:
-        result = pipeline.generate(EXAMPLE, scene, folder, device=pick_device(device))
+        result = pipeline.generate(EXAMPLE, scene, folder, context.aside())
     return result.report, scene
 
 

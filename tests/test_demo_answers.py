@@ -17,6 +17,7 @@ from demo.visitors import UNUSED, Visitors
 from demo.work import Done, gaussians_of, made_gaussians
 from demo.work.order import folders
 from phy124.errors import InputError
+from phy124.imaging.painted import WHOLE, crop_of
 from phy124.scene import Scene
 
 pytestmark = pytest.mark.usefixtures("coarse_solids")
@@ -184,6 +185,20 @@ def test_the_time_of_a_trial_run_is_that_of_its_object(studio, sources, monkeypa
     clip.mkdir()
     (clip / "report.json").write_text("{}")
     assert studio.run(asked[0]).progress.expected < 1234.0, "only the videos are made"
+
+
+def test_a_trial_run_has_the_threads_and_masks_of_the_run(studio, sources, monkeypatch):
+    trials, usual = [], studio.forecaster(Scene.named("drop"))
+    monkeypatch.setattr("demo.jobs.seconds_to_compile", lambda *_: 0.0)
+    monkeypatch.setattr("demo.jobs.probe_estimate", lambda *sent: trials.append(sent) or usual)
+    studio.settings = Settings(gaussians=1000, threads=1)
+    choice, scene = Choice("a", sources[0], Scene.named("drop").data()), Scene.named("drop")
+    order = studio._order(choice, scene)
+    gaussians_of(order, made_gaussians(order))
+    studio.refine(choice)
+    with Image.open(sources[0].path) as cutout:
+        assert trials[0][4] == crop_of(cutout) != WHOLE
+    assert trials[0][2].threads == order.threads == 1
 
 
 def test_each_stage_of_a_run_has_one_time(studio):

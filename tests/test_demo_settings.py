@@ -1,6 +1,7 @@
 """Settings from the environment, and the catalogue that the page is built from."""
 
 import json
+from contextlib import suppress
 
 import pytest
 from PIL import Image
@@ -20,6 +21,7 @@ from phy124.forces import FORCES
 from phy124.materials import LAWS
 from phy124.particles.thickness import Proportions
 from phy124.rendering.nearest import ROOM
+from phy124.runtime.context import RunContext
 from phy124.runtime.installation import install_command
 from phy124.scene import Scene, preset_names
 from phy124.scene.files import files_named
@@ -213,7 +215,6 @@ STIFFENS = {"kind": "ramp", "duration": 0.3, "first": 1.0, "last": 9.0}
     "changes", [{}, {"material.damping": 2e4}, {"stiffness_profile": STIFFENS}], ids=str
 )
 def test_the_forecast_counts_the_substeps_of_a_run(three_gaussians, changes):
-    from phy124.runtime.context import RunContext
     from phy124.simulation import Simulation, prepare
 
     small = {"accuracy": {"cells": 8, "particles_per_axis": 1.0}, **changes}
@@ -243,6 +244,24 @@ def test_a_page_that_is_not_warmed_up_is_ready_at_once(tmp_path):
     studio.warm_up()
     assert studio.warm.is_set() and not studio.searches
     assert vars(studio.forecaster.rates) == written
+
+
+def test_the_page_measures_this_machine_with_its_threads(tmp_path, monkeypatch):
+    used = []
+    monkeypatch.setattr("demo.warm.search_seconds", lambda: 1.0)
+    monkeypatch.setattr("demo.warm.warm", lambda scenes, context: used.append(context.threads))
+    monkeypatch.setattr("demo.warm.pipeline.simulate", lambda *sent: used.append(sent[3].threads))
+    monkeypatch.setattr("demo.warm.pipeline.generate", lambda *sent: used.append(sent[3].threads))
+    studio = Studio(Settings(device="cpu", threads=1), Visitors(tmp_path))
+
+    def calibrate(*runs):
+        for run in runs:
+            with suppress(AttributeError):
+                run()  # it has no report
+
+    monkeypatch.setattr(studio.forecaster, "calibrate", calibrate)
+    studio.warm_up()
+    assert used == [1, 1, 1]
 
 
 def test_accuracy_levels_follow_measurements_of_the_scene():
@@ -341,7 +360,7 @@ def test_a_forecast_can_be_measured_on_the_object_itself(three_gaussians):
     scene = Scene.named("drop").replaced(
         {"accuracy": {"cells": 8, "particles_per_axis": 1.0}, "view.size": 32}
     )
-    forecast = probe_estimate(three_gaussians, scene, "cpu", rest=1.0)
+    forecast = probe_estimate(three_gaussians, scene, RunContext(device="cpu"), rest=1.0)
     assert forecast.seconds > 1.0 and forecast.promise.error is None
     assert forecast.substeps > 0 and forecast.particles >= 3
 

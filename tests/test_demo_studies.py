@@ -105,6 +105,19 @@ def test_a_study_whose_time_is_up_says_so_and_keeps_nothing(study, monkeypatch):
     assert not study_file(study).exists()
 
 
+def test_a_study_uses_the_threads_of_the_page(study, monkeypatch):
+    used = []
+
+    def measure(gaussians, scene, context, *_, **__):
+        used.append(context.threads)
+        raise Cancelled
+
+    monkeypatch.setattr("demo.work.study.Study", measure)
+    with pytest.raises(Cancelled):
+        list(steps(replace(study, threads=3)))
+    assert used == [3]
+
+
 def test_a_study_keeps_the_solver_of_its_scene(study):
     double = study.scene.replaced({"accuracy.precision": "float64"})
     assert on_grid(study.scene, 12).on_lattice and not on_grid(double, 12).on_lattice

@@ -20,6 +20,7 @@ from demo.touch.player import BINDING, FRAME, HEAD, Player, play
 from demo.touch.table import FORCES, limits_of, shorten_session
 from phy124.errors import InputError
 from phy124.generators.shapes import ball
+from phy124.imaging.painted import WHOLE
 from phy124.live import Live
 from phy124.runtime.context import RunContext
 from phy124.scene import Scene
@@ -295,9 +296,24 @@ def player(monkeypatch, tmp_path):
         others=(),
         cut_views=extras.cut_views,
         gaussians=1000,
+        crop=WHOLE,
     )
     line = Spoken()
     return Player(type("Play", (), {"order": order, "most": Settings(max_frames=4)})(), line), line
+
+
+def test_masks_are_where_the_picture_has_them(player, monkeypatch):
+    run, line = player
+    crops = []
+
+    def start(*sent, crop=WHOLE, **options):
+        crops.append(crop)
+        return Live(*sent, crop=crop, **options)
+
+    monkeypatch.setattr("demo.touch.player.Live", start)
+    run._what.order.crop = (0.1, 0.2, 0.5, 0.6)
+    Player(run._what, line)
+    assert crops == [(0.1, 0.2, 0.5, 0.6)]
 
 
 def test_failed_simulation_is_reported(player, monkeypatch):

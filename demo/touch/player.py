@@ -76,8 +76,9 @@ class Player:
         timing = order.scene.time.model_copy(update={"fps": FPS})
         _say(line, kind="doing", text="Choosing the accuracy that runs in real time …")
         asked = with_crops(order.scene, order.others).model_copy(update={"time": timing})
-        chosen = held_rate(gaussians, asked, context, rate=RATE, shapes=False)
-        self.live = Live(gaussians, chosen.scene, context, shapes=False)
+        crop = order.crop
+        chosen = held_rate(gaussians, asked, context, rate=RATE, shapes=False, crop=crop)
+        self.live = Live(gaussians, chosen.scene, context, shapes=False, crop=crop)
         self.live.step()
         self._lattice, self._walls = Lattice(self.live), Walls(self.live)
         self._clock = RealTime(FPS)

@@ -133,5 +133,13 @@ def _in_photograph(
         with order.picture() as cutout, open_image(order.photograph) as opened:
             opened.thumbnail(view.size)
             photograph = Photograph.of(opened, cutout)
-        made = compose(clip, view, photograph, folder, device=order.device, progress=progress)
+        made = compose(
+            clip,
+            view,
+            photograph,
+            folder,
+            device=order.device,
+            threads=order.threads,
+            progress=progress,
+        )
         return {"compose": made[1]}

@@ -14,7 +14,6 @@ from phy124 import pipeline
 from phy124.errors import InputError
 from phy124.gaussians import Frame, Gaussians, as_objects
 from phy124.generators.relief import relief
-from phy124.imaging.painted import crop_of
 from phy124.io.clip import Clip
 from phy124.io.files import replacing
 from phy124.particles.thinning import with_count
@@ -72,7 +71,6 @@ def simulate(
     """
     watching = Watching(order, limits)
     with order.picture() as cutout:
-        crop = crop_of(cutout)
         about = {**dict(order.about), HOW: how_cut(cutout), "motion": watching.motion}
     if order.others:
         about["sources"] = {other.name: other.about for other in order.others}
@@ -86,7 +84,7 @@ def simulate(
         progress=watching.progress,
         watch=watch,
         about=about,
-        crop=crop,
+        crop=order.crop,
         films=False,
         rescues=False,
         each=watching.see,

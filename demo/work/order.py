@@ -11,6 +11,7 @@ from PIL import Image
 from phy124.budget.cost import GAUSSIANS
 from phy124.generators.ply_file import PlyFile
 from phy124.imaging.image import read_picture_size
+from phy124.imaging.painted import Crop, crop_of
 from phy124.pipeline.capture import adapt_scene
 from phy124.runtime.isolated import Deadline
 from phy124.scene import Scene
@@ -73,6 +74,12 @@ class Order:
     def picture(self) -> Image.Image:
         """Open the cut-out; without a cut-out, return an empty picture."""
         return Image.open(self.cutout) if self.cutout else Image.new("RGBA", (1, 1))
+
+    @property
+    def crop(self) -> Crop:
+        """Position of the first object in its picture, on which the masks of parts were painted."""
+        with self.picture() as cutout:
+            return crop_of(cutout)
 
     def cut_views(self, deadline: Deadline) -> None:
         """Create missing cut-outs of further pictures; raise InputError if one has no object."""

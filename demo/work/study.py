@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 from phy124.errors import InputError
-from phy124.imaging.painted import crop_of
 from phy124.io.files import replacing
 from phy124.runtime.context import RunContext
 from phy124.studies.validation.accuracy.study import Study
@@ -31,8 +30,6 @@ def measure(order: Order, limits: Limits) -> Measured:
         limits.tell(Reused("measure"))
         return Measured(path)
     gaussians = gaussians_of(order, made_gaussians(order), limits.tell)
-    with order.picture() as cutout:
-        crop = crop_of(cutout)
 
     def progress(stage: str, done: int, total: int) -> None:
         if stage != "study":
@@ -42,8 +39,8 @@ def measure(order: Order, limits: Limits) -> Measured:
         limits.tell_simulating(event) if done < total else limits.tell(event)
 
     scene = on_grid(with_crops(order.scene, order.others), order.levels[0])
-    context = RunContext(device=order.device, progress=progress)
-    study = Study(gaussians, scene, context, order.levels, crop, thorough=False)
+    context = RunContext(device=order.device, threads=order.threads, progress=progress)
+    study = Study(gaussians, scene, context, order.levels, order.crop, thorough=False)
     measurement = Measurement.of(study.run())
     if limits.spent > SIMULATING and len(measurement.levels) < len(order.levels):
         limit = (
