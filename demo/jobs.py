@@ -26,6 +26,7 @@ from phy124.runtime.context import RunContext
 from phy124.runtime.device import pick_device
 from phy124.runtime.isolated import Deadline
 from phy124.scene import Scene
+from phy124.scene.files import files_named
 
 from .catalogue import check_limits, check_time, scene_of
 from .course import Course
@@ -33,8 +34,9 @@ from .extras import ExtraInputs, extras_of
 from .fits import Fits
 from .forecast import Estimate, Estimator, probe_estimate, promise_of
 from .line import Job, Line, run_guarded
-from .pictures import Stroke, check_picture, cut_by, cut_once, viewable
+from .pictures import Stroke, bytes_of_cutout, check_picture, cut_by, cut_once, viewable
 from .progress import MEASURING, READING, STAGES, close_now
+from .room import renew
 from .settings import Settings
 from .source import Choice, Cutout, Source, check_file, is_there, missing, open_gaussians
 from .studies import grids, on_grid, read_study
@@ -162,7 +164,10 @@ class Studio:
             job.subject = str(shown)
             start = time.monotonic()
             try:
-                path, doubts, searched = cut_once(visitor, shown, strokes, pick, deadline)
+                size, most = bytes_of_cutout(shown), self.visitors.room.all
+                with self.visitors.writing(visitor, size, (upload, shown), most):
+                    path, doubts, searched = cut_once(visitor, shown, strokes, pick, deadline)
+                visitor.trim(self.visitors.room)
             except InputError as error:
                 if error.field == "image":
                     job.subject = ""  # a picture that cannot be opened cannot be shown
@@ -323,7 +328,10 @@ class Studio:
 
     def _scene(self, visitor: Visitor | None, data: Any, limits: Settings | None = None) -> Scene:
         """A scene may name uploads of the visitor but no other files."""
-        return scene_of(data, limits or self.settings, visitor and visitor.folder / "uploads")
+        scene = scene_of(data, limits or self.settings, visitor and visitor.folder / "uploads")
+        for _, path in files_named(scene):
+            renew(path)
+        return scene
 
     def _order(self, choice: Choice, scene: Scene) -> Order | None:
         visitor, source = self.visitors.find(choice.name), choice.source
@@ -350,7 +358,11 @@ class Studio:
 
     def order(self, asked: tuple[Visitor, Source, Scene], extras: ExtraInputs) -> Order:
         """Create the `Order` of a run; raise InputError for unsuitable inputs."""
-        return order_of(*asked, extras, self.settings)
+        order = order_of(*asked, extras, self.settings)
+        cutouts = (*order.extras.views.pictures.values(), *(other.cutout for other in order.others))
+        for path in (*asked[1].stored, *cutouts):
+            renew(path)
+        return order
 
     def _submit(self, visitor: Visitor, job: Job, line: Line, work: Callable[[Job], None]) -> Job:
         self.visitors.check_work(visitor, line.most)
@@ -359,10 +371,10 @@ class Studio:
         return job
 
     def _run(self, visitor: Visitor, order: Order, job: Job) -> None:
-        order.cut_views(Deadline(self.settings.max_cut_seconds, job.check))
         load, events, done = self.forecaster.load(), self.work(order), None
         with self.visitors.writing(visitor, bytes_to_write(order), made_by(order)):
             try:
+                order.cut_views(Deadline(self.settings.max_cut_seconds, job.check))
                 for event in events:
                     done = event if isinstance(event, Done) else job.tell(event)
             finally:

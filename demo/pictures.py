@@ -37,6 +37,8 @@ REMEDIES = {
 """Advice for the visitor, by the field of an error."""
 HOW = "cutout"
 """Key of the PNG text that stores the method and quality of a cut-out."""
+PIXEL = 4
+"""Size of a pixel in a cut-out, which is hardly compressed [bytes]."""
 Fraction = Annotated[float, Field(ge=-0.5, le=1.5, allow_inf_nan=False)]
 
 
@@ -58,6 +60,12 @@ def check_picture(path: Path, settings: Settings, field: str = "image") -> None:
     if width * height > settings.max_megapixels * 1e6:
         limit = f"The picture has more than {settings.max_megapixels:g} million pixels."
         raise InputError(field, path.name, limit, "Reduce the picture, for example to 2000 pixels.")
+
+
+def bytes_of_cutout(picture: Path) -> int:
+    """Estimate the size of the largest cut-out of a picture [bytes]."""
+    width, height = read_picture_size(picture)
+    return PIXEL * width * height
 
 
 def is_shown(picture: Path) -> bool:

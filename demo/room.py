@@ -95,6 +95,12 @@ def change_time(path: Path) -> float:
         return 0.0
 
 
+def renew(path: Path) -> None:
+    """Count a file or a folder as used at this moment, because the oldest entries are removed."""
+    with suppress(OSError):  # the entry no longer exists
+        os.utime(path)
+
+
 def remove(path: Path) -> None:
     """Remove a file, or a folder with its content."""
     if path.is_dir():

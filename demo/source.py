@@ -48,6 +48,11 @@ class Cutout:
     pick: Point | None = None
     """Point on the object that the visitor clicked."""
 
+    @property
+    def stored(self) -> tuple[Path, ...]:
+        """Files and folders of the visitor that the source needs."""
+        return Path(self.path), Path(self.picture)
+
 
 @dataclass(frozen=True)
 class GaussianFile:
@@ -62,6 +67,11 @@ class GaussianFile:
     """The axes of the file that most likely point up and to the front."""
     notes: tuple[str, ...] = ()
     """Sentences about the Gaussians that were removed."""
+
+    @property
+    def stored(self) -> tuple[Path, ...]:
+        """Files and folders of the visitor that the source needs."""
+        return (self.pictures,)
 
     @property
     def pictures(self) -> Path:

@@ -17,8 +17,12 @@ if TYPE_CHECKING:
 
 STAGES = ("cutouts", "objects", "gaussians", "clips", "films", "exports", "studies", "fits")
 """Folders that contain the results of stages (see `demo.visitors`)."""
-UPLOADS = JOBS = 8
-"""Number of uploads and number of jobs of each kind that are kept per visitor."""
+JOBS = 8
+"""Number of jobs of each kind that are kept per visitor."""
+PICTURES, FEW = 32, 8
+"""Number of uploads and number of cut-outs that are kept per visitor, and the number that are kept
+until results are removed if disk space is short.
+"""
 
 
 class Visitor:
@@ -123,8 +127,9 @@ class Visitor:
         """Remove all but the latest results of each stage; if disk space is short, remove more."""
         for stage in ("uploads", *STAGES):
             entries = newest_first(self.folder / stage)
-            # A clip may have videos of several views. Cut-outs and uploads are small.
-            keep = {"uploads": UPLOADS, "clips": room.clips}.get(stage, 3 * room.clips)
+            # A clip may have videos of several views. A scene may need many pictures.
+            most = {"uploads": PICTURES, "cutouts": PICTURES, "clips": room.clips}
+            keep = most.get(stage, 3 * room.clips)
             for entry in entries[keep:]:
                 remove(entry)
         for folder in newest_first(self.folder / "exports"):
@@ -133,10 +138,10 @@ class Visitor:
         self.give_up(room.each)
 
     def give_up(self, most: float, keep: Collection[Path] = ()) -> bool:
-        """Remove exports, then results, the oldest first, until at most `most` bytes are left.
+        """Remove exports, pictures and results until at most `most` bytes are left.
 
-        The latest result of each stage and the paths in `keep` are not removed. Return whether the
-        limit is met.
+        The oldest are removed first. The latest upload, the latest result of each stage and the
+        paths in `keep` are not removed. Return whether the limit is met.
         """
         for path in self._oldest():
             if self.measure() <= most:
@@ -149,5 +154,8 @@ class Visitor:
         if not self.busy:
             yield self.folder / "live"
         yield from sorted((self.folder / "exports").glob("*/*"), key=change_time)
-        for stage in ("fits", "films", "clips", "gaussians"):
-            yield from reversed(newest_first(self.folder / stage)[1:])
+        pictures = ("uploads", "cutouts")
+        stages = [(stage, FEW) for stage in pictures]
+        stages += [(stage, 1) for stage in ("fits", "films", "clips", "gaussians", *pictures)]
+        for stage, kept in stages:
+            yield from reversed(newest_first(self.folder / stage)[kept:])

@@ -35,7 +35,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 from phy124.errors import InputError
 from phy124.runtime.failures import Kind, failure
 
-from .room import Arrivals, Room, all_taken, is_plain_file, remove
+from .room import Arrivals, Room, all_taken, is_plain_file, remove, renew
 from .visitor import STAGES, Visitor
 
 if TYPE_CHECKING:
@@ -214,19 +214,27 @@ class Visitors:
         """Return the upload of a visitor at a requested path.
 
         Raises:
-            InputError: The path is not an upload of the visitor. The message does not reveal
-                whether the path exists.
+            InputError: The path is not an upload of the visitor (the message does not reveal
+                whether the path exists), or the upload does not fit into the disk space.
         """
         visitor = self.expect(name)
         path = visitor.folder / "uploads" / Path(str(requested)).name
         if str(requested) == str(self.arrivals.folder / path.name):
             # The first request that names an upload moves the upload to this path.
             with self._lock:
-                visitor.used += self.arrivals.hand_over(path)
+                size = self.arrivals.hand_over(path)
+                visitor.used += size
+            renew(path)
+            visitor.trim(self.room)
+            if visitor.used > self.room.each:
+                remove(path)
+                visitor.measure()
+                raise all_taken(size, self.room.each, "Send or request less data.")
         elif str(requested) != str(path):
             path = path.parent
         if not is_plain_file(path):
             raise _unknown()
+        renew(path)
         return path
 
     def check_work(self, visitor: Visitor, most: int) -> None:

@@ -307,6 +307,21 @@ def test_corrections_keep_the_cutout_that_they_correct(tmp_path):
     assert coverage(6) == pytest.approx(whole, abs=0.01)
 
 
+def test_corrections_fit_into_the_visitors_room(tmp_path):
+    pixels = np.random.default_rng(0).integers(0, 255, (100, 100, 4), np.uint8)
+    pixels[..., 3] = 0
+    pixels[10:90, 10:90, 3] = 255
+    Image.fromarray(pixels).save(tmp_path / "a.png")
+    studio = Studio(Settings(), Visitors(tmp_path / "files", Room(each=150_000)))
+    visitor = studio.visitors.get("a")
+    sent = str(studio.visitors.store("a", (tmp_path / "a.png").read_bytes(), ".png"))
+    for number in range(8):
+        points = tuple((0.2 + 0.01 * n, 0.5) for n in range(number + 1))
+        job = studio.cut_out("a", sent, (Stroke(keep=False, width=0.02, points=points),))
+        assert job.wait(60) and Path(job.progress.result.path).exists(), job.progress.message
+        assert visitor.measure() <= 150_000
+
+
 @pytest.mark.parametrize("place", [[0.3], [0.3, 1.5], "middle", [float("nan"), 0.5], {"x": 1}])
 def test_points_outside_the_picture_are_refused(place):
     assert (

@@ -1,6 +1,7 @@
 """Further objects of a scene on the page: from pictures of their own."""
 
 import json
+import os
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -16,6 +17,7 @@ from demo.settings import Settings
 from demo.source import Choice, Cutout
 from demo.touch.player import SESSION, Play, Player
 from demo.touch.table import limits_of
+from demo.visitor import PICTURES
 from demo.visitors import Visitors
 from demo.work import Order, gaussians_of, made_gaussians, stages_done
 from demo.work.others import with_crops
@@ -72,6 +74,30 @@ def test_object_without_picture_is_a_copy(studio):
     same = _order(studio, _collide(**{"objects.0.picture": _sent(studio, DUCK.read_bytes())}))
     assert len({made_gaussians(item) for item in (plain, other, duck, same)}) == 3
     assert made_gaussians(duck) == made_gaussians(same)
+
+
+def _age(folder: Path) -> None:
+    for path in (*folder.glob("uploads/*"), *folder.glob("cutouts/*")):
+        os.utime(path, (path.stat().st_mtime - 100,) * 2)
+
+
+def test_pictures_in_use_outlive_newer_ones(studio):
+    data = _collide(**{"objects.0.picture": _sent(studio, TEDDY.read_bytes())})
+    first = studio.cut_out("a", _sent(studio, DUCK.read_bytes()))
+    assert first.wait(60)
+    source, folder = first.progress.result, studio.visitors.get("a").folder
+    _order(studio, data).cut_views(SOON)
+    for _ in range(2):
+        _age(folder)
+        for number in range(PICTURES - 2):
+            _sent(studio, b"another picture")
+            (folder / "cutouts" / f"{number}.png").touch()
+        studio.visitors.get("a").trim(studio.visitors.room)
+        _age(folder)
+        asked = studio.resolve(Choice("a", source, data))
+        order = studio.order(asked, studio.check_extras("a", {"compose": True}))
+        assert order.photograph.exists() and order.cutout.exists()
+        assert order.others[0].picture.exists() and order.others[0].cutout.exists()
 
 
 def test_its_picture_has_the_limits_of_the_first(studio, tmp_path):

@@ -202,6 +202,18 @@ def test_an_upload_is_counted_where_it_is(visitors):
     assert visitors.used == visitors.expect("a").used == 100 and visitors.arrivals.size == 0
 
 
+def test_uploads_that_a_visitor_names_fit_into_the_visitors_room(tmp_path):
+    visitors = Visitors(tmp_path, Room(each=1000, all=20_000))
+    visitor = visitors.get("a")
+    for _ in range(9):
+        path = visitors.store(None, bytes(400), ".png")
+        assert visitors.find_upload("a", str(path)).exists() and visitor.used <= 1000
+    path = visitors.store(None, bytes(1001), ".png")
+    with pytest.raises(InputError, match="your limit is"):
+        visitors.find_upload("a", str(path))
+    assert visitor.measure() == visitor.used <= 1000
+
+
 def test_counting_files_blocks_no_request(tmp_path, monkeypatch):
     """Folders are looked through outside the lock, and only one's own."""
     visitors, looked = Visitors(tmp_path), []

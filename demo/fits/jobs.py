@@ -111,6 +111,8 @@ class Fits:
         try:
             return self.visitors.find_upload(name, video)
         except InputError as error:
+            if error.field == "room":
+                raise
             limit = "The server does not have this video."
             raise InputError("video", error.value, limit, error.remedy) from None
 
