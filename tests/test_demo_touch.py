@@ -357,6 +357,15 @@ def test_impossible_orders_are_reported_and_the_run_continues(player):
     assert np.isfinite(x).all() and np.isfinite(F).all()
 
 
+def test_every_note_of_a_long_run_is_sent(player):
+    run, line = player
+    notes = [f"note {number}" for number in range(30)]
+    for note in notes:
+        run.live._note(note)
+        run._tell_notes()
+    assert [json.loads(content)["text"] for _, content in line.sent[-30:]] == notes
+
+
 def test_a_saved_session_is_a_scene_no_longer_than_a_run_may_be(player):
     run, line = player
     for order in ({"do": "grab", "value": [0, 0, 1.0]}, None, None, None, None, {"do": "release"}):

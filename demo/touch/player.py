@@ -145,9 +145,10 @@ class Player:
         _say(self._line, kind="saved", text=text)
 
     def _tell_notes(self) -> None:
-        for note in self.live.notes[self._sent_notes :]:
+        unsent = self.live.notes_made - self._sent_notes
+        for note in self.live.notes[-unsent:] if unsent else []:
             _say(self._line, kind="said", text=note)
-        self._sent_notes = len(self.live.notes)
+        self._sent_notes += unsent
 
     def _head(self, text: str) -> bytes:
         """The JSON text is padded with spaces to a multiple of four bytes."""

@@ -93,7 +93,9 @@ class Live:
         self._gaussians, self._shapes, self._crop = gaussians, shapes, crop
         self._context = context or RunContext()
         self.notes: list[str] = []
-        """Messages for the user about reduced inputs and failed frames."""
+        """The latest messages for the user about reduced inputs and failed frames."""
+        self.notes_made = 0
+        """Number of all notes so far, including those that are not stored."""
         self.reset()
         self.limits = Limits.of(self._run.setup.particles, self._scene)
 
@@ -495,3 +497,4 @@ class Live:
     def _note(self, sentence: str) -> None:
         if self.notes[-1:] != [sentence]:
             self.notes = [*self.notes, sentence][-NOTES:]
+            self.notes_made += 1
