@@ -55,6 +55,14 @@ def message(topic: Topic, stamp: int, content: Mapping[str, Any]) -> Message:
     return Message(topic, stamp, encode(topic.type, content))
 
 
+def stamp(epoch: float, seconds: float) -> int:
+    """Return the time stamp [ns since 1970] of the time `seconds` [s] after `epoch` [s since 1970].
+
+    The two numbers are rounded separately, because their sum would be accurate to 0.2 us only.
+    """
+    return round(epoch * NANO) + round(seconds * NANO)
+
+
 def time(nanoseconds: int) -> dict[str, int]:
     """Convert nanoseconds to a `builtin_interfaces/msg/Time` or `Duration`."""
     seconds, rest = divmod(nanoseconds, NANO)

@@ -45,7 +45,7 @@ class FrameEncoder:
     @property
     def epoch(self) -> int:
         """Time at which the clip starts [ns since 1970]."""
-        return round(self.start * cdr.NANO)
+        return self.stamp(0.0)
 
     @property
     def topics(self) -> list[Topic]:
@@ -63,7 +63,7 @@ class FrameEncoder:
 
     def stamp(self, seconds: float) -> int:
         """Return the time stamp [ns since 1970] of a time in the clip [s]."""
-        return self.epoch + round(seconds * cdr.NANO)
+        return cdr.stamp(self.start, seconds)
 
     def limit(self, points: int | None) -> None:
         """Limit the number of points per frame from now on; None removes the limit."""

@@ -7,9 +7,10 @@ import pytest
 
 from bridge import cdr
 from bridge.steering.entities import INVALID_POSE, Code
+from bridge.steering.loop import contact_messages
 from bridge.steering.standard import Feature, Standard
 from support.ros_double import JAZZY
-from support.steered import OPTIONS, WEIGHTLESS, header, steered, transform, triple
+from support.steered import EPOCH, OPTIONS, WEIGHTLESS, header, steered, transform, triple
 
 
 @pytest.fixture(scope="module")
@@ -127,6 +128,17 @@ def test_flags_choose_pose_or_twist_and_the_frame_counts():
     put(entity="object", state=state((0, 0, 0), linear=(0, 1, 0)), **flags)
     motion = run.live.motions["object"]
     assert np.allclose(motion.place, (0.1, 0.2, 0.7)) and np.allclose(motion.velocity, (0, 1, 0))
+
+
+def test_stamp_of_a_state_is_that_of_the_transforms():
+    run = steered()
+    run.epoch = EPOCH + 0.123456
+    for _ in range(3):
+        run.advance()
+    entity = serve(run, "GetEntityState")(entity="object")["state"]["header"]["stamp"]
+    published = OPTIONS.model_copy(update={"epoch": run.epoch})
+    (tf, *_) = contact_messages(run.live, published, run.position)
+    assert entity == cdr.time(tf.stamp)
 
 
 def test_solids_on_a_path_have_its_state():

@@ -99,11 +99,8 @@ class Entities:
         motion = self._motions.get(request.entity)
         if motion is None:
             return {"result": self._unknown(request.entity)}
-        seconds = self._run.epoch + self._run.position
-        header = {
-            "stamp": cdr.time(round(seconds * cdr.NANO)),
-            "frame_id": self._options.frame_id,
-        }
+        stamp = cdr.stamp(self._run.epoch, self._run.position)
+        header = {"stamp": cdr.time(stamp), "frame_id": self._options.frame_id}
         w, x, y, z = motion.quat.tolist()
         pose = {
             "position": _xyz(motion.place),

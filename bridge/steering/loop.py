@@ -105,7 +105,8 @@ def steer(
             run.advance()
             clock.speed = run.speed
             factor = clock.wait()
-            sink.send(cdr.message(FACTOR, stamp_of(options, run.position), {"data": factor}))
+            stamp = cdr.stamp(run.epoch, run.position)
+            sink.send(cdr.message(FACTOR, stamp, {"data": factor}))
     sink.show(run)
 
 
@@ -149,7 +150,7 @@ def contact_messages(live: Live, options: Options, seconds: float) -> list[Messa
 
     The time `seconds` of the frame counts from the epoch.
     """
-    stamp, centre = stamp_of(options, seconds), live.centre
+    stamp, centre = cdr.stamp(options.epoch or 0.0, seconds), live.centre
     when, whole = cdr.time(stamp), centre_frame(options)
     centres = live.centres if live.scene.objects else {}
     frames = {whole: centre} | {object_frame(options, name): at for name, at in centres.items()}
@@ -174,8 +175,3 @@ def contact_messages(live: Live, options: Options, seconds: float) -> list[Messa
         }
         messages.append(cdr.message(contact(name), stamp, content))
     return messages
-
-
-def stamp_of(options: Options, seconds: float) -> int:
-    """Return the time stamp [ns since 1970] of a time [s since 1970]."""
-    return round((options.epoch or 0.0) * cdr.NANO) + round(seconds * cdr.NANO)
