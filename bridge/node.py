@@ -7,11 +7,14 @@ from __future__ import annotations
 
 import logging
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Generator
+from contextlib import closing
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 from phy124.errors import InputError
+from phy124.gaussians import Frame
 from phy124.io.clip import Clip
 from phy124.runtime.failures import failure
 from phy124.runtime.signals import handling, interrupt
@@ -97,16 +100,29 @@ def simulate(node: Any) -> None:
     _require("source", source, "/path/to/photo.png")
     asked = LiveOptions(True, scene, changes, generator, device, tuple(map(Path, more)), **making)
     run = LiveRun(Path(source), asked)
+    Cameras(options, run.scene.data())  # refuses unknown cameras before the object is made
     with (
-        Cameras(options, run.scene.data()) as cameras,
         RclpySink(options, clock=clock, node=node, running=RUNNING_LIVE) as sink,
+        closing(_seen_frames(run, options)) as frames,
     ):
         log.info("Simulating %s, scene %s. %s", source, scene, sink.audience())
-        follow(map(cameras.look, run), sink, speed=speed)
+        follow(frames, sink, speed=speed)
     if run.stopped is not None:
         log.error("The simulation stopped early; its valid frames were shown. %s", run.stopped)
         raise SystemExit(STOPPED_EARLY)
     log.info("All %d frames were shown.", len(run))
+
+
+def _seen_frames(run: LiveRun, options: Options) -> Generator[Frame, None, None]:
+    """Yield the frames of a run with the pictures of cameras.
+
+    From the first frame on, the scene of the run contains the parts of the object, which determine
+    the positions of the cameras.
+    """
+    frames = iter(run)
+    for first in frames:
+        with Cameras(options, run.scene.data()) as cameras:
+            yield from map(cameras.look, chain([first], frames))
 
 
 def live_through(

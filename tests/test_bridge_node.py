@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 from bridge import node, parameters
+from bridge.cameras import Cameras
 from bridge.options import LIVE_POINTS, Options
 from bridge.sinks.rclpy import RclpySink
 from phy124.generators.extras import DepthMap
@@ -15,7 +16,7 @@ from phy124.generators.ply_file import Reading
 from phy124.imaging.cutting import Cutting
 from phy124.scene import Scene
 from support.clips import random_clip
-from support.ros_double import Node, clouds, statuses, values
+from support.ros_double import Node, clouds, decoded, statuses, values
 
 FOREVER = 1000
 """Spins after which a test's script gives up."""
@@ -284,6 +285,35 @@ def test_a_running_simulation_answers_while_it_computes(ros, monkeypatch):
     (made,) = ros.nodes
     assert [cloud.width for cloud in clouds(made)] == [10, 10, 10]
     assert values(statuses(made)[-1])["speed"] == "2"
+
+
+def test_cameras_of_a_simulation_use_the_scene_of_its_object(ros, monkeypatch):
+    """The parts of an object are in the scene only when its file has been read."""
+    read, clip = Scene().replaced({"view.distance": 8.0}), random_clip(frames=2, fps=1000)
+
+    class Run:
+        stopped, scene = None, Scene()
+
+        def __init__(self, source, options):
+            pass
+
+        def __len__(self):
+            return 2
+
+        def __iter__(self):
+            self.scene = read
+            yield from clip.frames()
+
+    monkeypatch.setattr(node, "LiveRun", Run)
+    Node.parameters = {"source": "photo.png", "views": ["front"], "size": "32x24"}
+    node.simulation()
+    (made,) = ros.nodes
+    *_, static = decoded(made.publishers["/tf_static"], "tf2_msgs/msg/TFMessage")
+    place = static.transforms[-1].transform.translation
+    with Cameras(Options(views=("front",)), read.data()) as cameras:
+        (picture,) = cameras.look(clip.frame(0)).pictures
+    assert picture.camera.eye == pytest.approx((place.x, place.y, place.z), rel=1e-3)
+    assert len(made.publishers["~/camera/front/camera_info"].sent) == 2
 
 
 def test_a_running_simulation_that_stops_early_says_so(ros, monkeypatch):
