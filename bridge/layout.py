@@ -49,10 +49,13 @@ FIRST = 4
 def cloud(frame: Frame, profile: Profile, header: dict[str, Any]) -> dict[str, Any]:
     """Return the PointCloud2 of a frame, ready for `cdr.encode`.
 
-    If the frame has no velocities, the velocities in `full` are NaN, and `is_dense` is false.
+    If the frame has no velocities, the velocities in `full` are NaN. `is_dense` is false if a
+    position or a velocity of the message is not finite.
     """
     table, tail = small_points(frame) if profile == "small" else (points(frame, profile), b"")
-    known = profile != "full" or frame.velocities is not None
+    dense = np.isfinite(frame.gaussians.means).all()
+    if profile == "full":
+        dense &= frame.velocities is not None and np.isfinite(frame.velocities).all()
     data = table.view(np.uint8)
     return {
         "header": header,
@@ -62,7 +65,7 @@ def cloud(frame: Frame, profile: Profile, header: dict[str, Any]) -> dict[str, A
         "point_step": table.itemsize,
         "row_step": table.nbytes + len(tail),
         "data": np.concatenate([data, np.frombuffer(tail, np.uint8)]) if tail else data,
-        "is_dense": bool(known and np.isfinite(frame.gaussians.means).all()),
+        "is_dense": bool(dense),
     }
 
 

@@ -141,6 +141,13 @@ def test_missing_velocities_are_nan_and_noted():
     assert cloud(frame, "viz", {})["is_dense"] is True
 
 
+def test_velocities_that_are_not_finite_are_not_dense():
+    frame = random_clip().frame(0)
+    assert cloud(frame, "full", {})["is_dense"] is True
+    frame.velocities[2, 1] = np.nan
+    assert cloud(frame, "full", {})["is_dense"] is False
+
+
 def test_empty_cloud():
     frame = random_clip(count=0).frame(0)
     for profile in ("viz", "full"):
