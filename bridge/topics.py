@@ -101,14 +101,15 @@ def camera_topic(camera: str, kind: str) -> Topic:
 
 def find_recorded(name: str) -> Topic | None:
     """Return the recorded topic that has this full name, or None."""
-    node, _, wall = name.partition("/contact/")
-    if node.startswith(f"/{NAMESPACE}/") and wall:
-        return replace(contact(wall), name=name)
+    # A camera may have the name `contact`, but the name of a wall contains no slash.
     node, _, camera = name.partition("/camera/")
     camera, _, end = camera.partition("/")
     kinds = {ending: kind for kind, (ending, _) in CAMERA.items()}
     if node.startswith(f"/{NAMESPACE}/") and end in kinds:
         return replace(camera_topic(camera, kinds[end]), name=name)
+    node, _, wall = name.partition("/contact/")
+    if node.startswith(f"/{NAMESPACE}/") and wall:
+        return replace(contact(wall), name=name)
     return RECORDED.get(name)
 
 

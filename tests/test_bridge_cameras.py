@@ -201,6 +201,11 @@ def test_names_of_cameras(tmp_path):
     assert find_recorded("/phy124/live/camera/front/other") is None
 
 
+def test_a_camera_may_have_the_name_contact():
+    recorded = find_recorded("/phy124/live/camera/contact/image_raw")
+    assert recorded.type == IMAGE
+
+
 @pytest.mark.parametrize(
     ("changes", "sentence"),
     [
