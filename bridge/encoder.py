@@ -19,8 +19,13 @@ from .layout import Profile, cloud, draco_cloud, evenly, require_draco, splat_ar
 from .options import Options
 from .topics import DRACO, ELLIPSOIDS, POINTS, SPLATS, TF, TF_STATIC, Message, Topic
 
-SPHERE = 2
-"""`visualization_msgs/msg/Marker.SPHERE`."""
+SPHERE, DELETE_ALL = 2, 3
+"""Type and action of a `visualization_msgs/msg/Marker`."""
+CLEARING = 48
+"""Number of first messages that remove all earlier markers, such as those of another clip. Several
+messages do so, because a subscriber that connects late misses the first ones. All messages would
+force RViz to create its spheres again in every frame.
+"""
 THINNEST = 1e-6
 """Smallest diameter of a marker [m], because RViz rejects zero."""
 log = logging.getLogger(__name__)
@@ -35,6 +40,7 @@ class FrameEncoder:
         self.options = options.for_recording()
         self._profile: Profile = self.options.profile or "full"
         self._quiet, self._announced = quiet, set[str]()
+        self._cleared = 0
         self._fixed: dict[str, dict[str, Any]] = {}  # transforms of fixed cameras, by name
 
     @cached_property
@@ -146,6 +152,9 @@ class FrameEncoder:
             {**same, "id": i, "pose": pose, "scale": size, "color": colour}
             for i, (pose, size, colour) in rows
         ]
+        if self._cleared < CLEARING:
+            self._cleared += 1
+            markers.insert(0, {"header": header, "action": DELETE_ALL})
         return {"markers": markers}
 
     def _announce(self, what: str) -> None:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from rosbags.typesys import Stores, get_typestore
 
-from bridge.encoder import FrameEncoder
+from bridge.encoder import CLEARING, DELETE_ALL, FrameEncoder
 from bridge.options import Options
 from bridge.topics import ELLIPSOIDS, POINTS, TF_STATIC
 from phy124.gaussians import rotation_matrices
@@ -84,17 +84,24 @@ def test_ellipsoids_are_the_covariances():
     markers = decoded(encoder.encode(frame)[1]).markers
     assert ELLIPSOIDS in encoder.topics
     chosen = frame.gaussians.select(np.arange(10) * 4)
-    for i, marker in enumerate(markers):
+    for i, marker in enumerate(markers[1:]):
         q, s = marker.pose.orientation, marker.scale
         rotation = rotation_matrices(np.array([[q.w, q.x, q.y, q.z]]))[0]
         axes = rotation * (np.array([s.x, s.y, s.z]) / 4)
         np.testing.assert_allclose(axes @ axes.T, chosen.covariances()[i], rtol=1e-5, atol=1e-9)
         assert (marker.id, marker.type, marker.color.a) == (i, 2, chosen.opacities[i])
-    assert len(markers) == 10
+    assert len(markers) == 11
+
+
+def test_ellipsoids_of_another_clip_are_deleted():
+    frame, encoder = random_clip(count=3).frame(0), FrameEncoder(Options(ellipsoids=2))
+    sent = [decoded(encoder.encode(frame)[1]).markers for _ in range(CLEARING + 1)]
+    actions = [[marker.action for marker in markers] for markers in sent]
+    assert actions == [[DELETE_ALL, 0, 0]] * CLEARING + [[0, 0]]
 
 
 def test_flat_gaussians_still_have_a_visible_marker():
     frame = random_clip(count=2).frame(0)
     frame.gaussians.scales[:] = 0
     markers = decoded(FrameEncoder(Options(ellipsoids=2)).encode(frame)[1]).markers
-    assert all(marker.scale.x > 0 for marker in markers)
+    assert all(marker.scale.x > 0 for marker in markers[1:])
