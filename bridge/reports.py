@@ -115,7 +115,9 @@ class Reports:
         stamp, trouble = playback.stamp_at(now), playback.dropped + audience.lost
         then, start, known = self._before or (now, stamp, 0)
         self._before = now, stamp, trouble
-        factor = (stamp - start) / (now - then) if now > then else 0.0
+        # If a reset of the run has set the time back, at least the time since then was simulated.
+        seconds = stamp - start if stamp >= start else stamp
+        factor = seconds / (now - then) if now > then else 0.0
         values = {
             **self._values(playback),
             "subscribers": audience.subscribers,

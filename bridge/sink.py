@@ -106,5 +106,8 @@ class Playback(Protocol):
     """Time in the clip [s] of the last frame shown, or of a frame that was sought."""
 
     def stamp_at(self, now: float) -> float:
-        """Return the seconds of the clip played until `now` [s]; the value never decreases."""
+        """Return the seconds of the clip played until `now` [s].
+
+        The value decreases only if a run is reset.
+        """
         ...

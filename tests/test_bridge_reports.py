@@ -87,6 +87,19 @@ def test_diagnostics_give_the_real_time_factor_each_second():
     assert values(status)["subscribers"] == "2" and status.level == 0
 
 
+def test_real_time_factor_is_not_negative_after_a_reset():
+    seen, playback = Seen(), Playback()
+    seen.reports.change(playback)
+    playback.stamp_at = lambda now: 4.0
+    seen.now += 2.0
+    seen.reports.send_due()
+    playback.stamp_at = lambda now: 0.5
+    seen.now += 2.0
+    seen.reports.send_due()
+    factors = [values(sent.status[0])["real-time factor"] for sent in seen.of("diagnostics")]
+    assert factors == ["0.000", "2.000", "0.250"]
+
+
 def test_lost_frames_and_duplicate_nodes_warn_once(caplog):
     seen = Seen()
     seen.reports.change(Playback())
