@@ -187,7 +187,7 @@ class Player:
         """Limit the number of frames shown per second; None removes the limit.
 
         Raises:
-            InputError: The rate is not positive.
+            InputError: The rate is not positive, or above the limit in `RATES`.
         """
         self.rate = _checked_rate(rate)
 
@@ -278,8 +278,7 @@ def checked_speed(speed: float) -> float:
 
 
 def _checked_rate(rate: float | None) -> float | None:
-    if rate is not None and not rate > 0:
-        raise InputError(
-            "rate", rate, "It must be positive.", "To show every frame, remove the option."
-        )
+    if rate is not None and not 0 < rate <= RATES[1]:
+        limit = f"It must be positive and at most {RATES[1]:g}."
+        raise InputError("rate", rate, limit, "Without a rate, every frame is shown.")
     return rate

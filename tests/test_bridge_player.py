@@ -190,9 +190,10 @@ def test_times_must_ascend(times):
         Player(np.array(times))
 
 
-def test_bad_rate():
-    with pytest.raises(InputError, match="must be positive"):
-        Player(TIMES, rate=0)
+@pytest.mark.parametrize("rate", [0, 5000, float("nan")])
+def test_bad_rate(rate):
+    with pytest.raises(InputError, match="must be positive and at most 1000"):
+        Player(TIMES, rate=rate)
 
 
 def test_bad_rate_while_playing():
