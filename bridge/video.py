@@ -31,7 +31,7 @@ LISTS = (b"RIFF", b"LIST")
 
 
 class H264Encoder:
-    """Encodes pictures one by one; a key frame with parameter sets is sent once a second."""
+    """Encodes pictures one by one; every `fps`-th picture is a key frame with parameter sets."""
 
     def __init__(self, width: int, height: int, fps: float) -> None:
         import imageio_ffmpeg
