@@ -22,6 +22,7 @@ from phy124.imaging.painted import WHOLE, Crop
 from phy124.particles.thickness import Proportions
 from phy124.runtime.context import RunContext
 from phy124.scene import PRESETS, Scene
+from phy124.scene.lattices import choose_solver
 
 from .course import Course
 from .rates import Learned
@@ -259,12 +260,12 @@ def probe_estimate(
         crop: Position of the object in the picture on which the masks of parts were painted.
     """
     probe = Forecaster(context).forecast(gaussians, scene, crop=crop)
-    films = sum(probe.stages.get(name, 0.0) for name in ("render", "encode"))
+    films = sum(probe.stages.get(name, 0.0) for name in ("render", "shine", "encode"))
     return Estimate(
         probe.seconds + rest,
         probe.substeps,
         probe.particles,
-        promise(scene, probe.proportions),
+        promise(choose_solver(scene, context.device), probe.proportions),
         probe.caveat,
         probe.load,
         measured=True,

@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,10 +14,12 @@ from phy124.accuracy import forecast as module
 from phy124.accuracy.forecast import Forecast, pixels_per_size, speed_up
 from phy124.accuracy.load import QUIET
 from phy124.accuracy.probe import CELLS, Pilot, SubstepCost, coarsen, run_pilot
-from phy124.accuracy.promises import Promise
+from phy124.accuracy.promises import Promise, promise
 from phy124.errors import InputError
 from phy124.rendering.nearest import ROOM
+from phy124.runtime.context import RunContext
 from phy124.scene import PRESETS, Scene
+from phy124.scene.lattices import choose_solver
 from phy124.simulation import Simulation, prepare
 from support.shapes import ball
 
@@ -207,6 +210,15 @@ def test_times_of_videos_depend_on_glossy_materials_only(monkeypatch, name, time
         changes = {"accuracy": {"cells": 8}, "time.frames": 2, "material.density": density}
         forecaster._filming(prepare(OBJECT, Scene.named(name).replaced(changes)))
     assert len(timed) == times
+
+
+def test_stops_for_a_gpu_have_the_promises_of_its_solver(monkeypatch):
+    press, made = Scene.named("press"), SimpleNamespace(seconds=1.0, proportions=None, caveat=None)
+    forecaster = Forecaster(RunContext(device="cuda:0"))
+    monkeypatch.setattr(forecaster, "forecast", lambda gaussians, scene: made)
+    for name, stop in forecaster.stops(OBJECT, press).items():
+        chosen = choose_solver(press.replaced({"accuracy": name}), "cuda:0")
+        assert chosen.solver == "mpm" and stop.promise == promise(chosen, None)
 
 
 def test_pixels_per_size_is_what_the_camera_sees():

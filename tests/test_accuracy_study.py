@@ -79,6 +79,13 @@ def test_liquid_by_projection_is_not_run_with_half_the_substep():
     assert names[3:] == ["float64 at D/16", "liquid compressible at D/16"]
 
 
+def test_study_for_a_gpu_varies_the_solver_that_a_gpu_has():
+    scene, gpu = Scene.named("press"), RunContext(device="cuda:0")
+    plan = dict(Study(ball(10), scene, gpu, levels=LEVELS)._plan())
+    assert {each.solver for each in plan.values()} == {"mpm"} and scene.solver == "lattice"
+    assert "solver mpm at D/16" not in plan and "binding particles at D/16" in plan
+
+
 def test_errors_fall_and_hold_the_finest_levels_own(study):
     result = study[1].convergence
     levels = [row for row in study[1].rows if row.level]

@@ -69,6 +69,7 @@ def make_live(
     from phy124.runtime.context import RunContext
     from phy124.runtime.device import pick_device
     from phy124.scene import parse_changes
+    from phy124.scene.lattices import choose_solver
     from phy124.simulation.bodies import proportions_of
 
     refuse_unopened(source)
@@ -83,7 +84,7 @@ def make_live(
     scene = scene.replaced({"velocities": velocities})
     context = RunContext(device=device, threads=options.threads)
     if chosen:
-        promised = promise(scene, proportions_of(gaussians, scene))
+        promised = promise(choose_solver(scene, device), proportions_of(gaussians, scene))
         said = f"{scene.resolution.cells} cells across the object. {promised.brief}"
         return Live(gaussians, scene, context, crop=crop), said
     encoder = FrameEncoder(messages.live(), quiet=True)

@@ -33,6 +33,7 @@ from phy124.particles.thickness import Proportions
 from phy124.rendering.nearest import ROOM
 from phy124.runtime.context import RunContext
 from phy124.scene import AccuracyName, Scene
+from phy124.scene.lattices import choose_solver
 from phy124.simulation import Setup, Simulation, prepare
 
 SPEED_UP = 0.72
@@ -280,7 +281,8 @@ class Forecaster:
         chosen = scene.model_copy(update={"accuracy": name})
         key = (id(gaussians), _physics(chosen))
         made: Forecast = self._remember(key, lambda: self.forecast(gaussians, chosen), gaussians)
-        return Stop.of(chosen, made.seconds, promise(chosen, made.proportions), made)
+        promised = promise(choose_solver(chosen, self.context.device), made.proportions)
+        return Stop.of(chosen, made.seconds, promised, made)
 
     def _proportions(self, simulation: Simulation) -> Proportions | None:
         size = simulation.scene.object.size

@@ -114,6 +114,7 @@ def predict(
         as_json: Print JSON and nothing else.
         effort: Predicted time of the slow generator that `relief` replaces in the forecast.
     """
+    scene = choose_solver(scene, context.device)
     forecaster, goal = Forecaster(context, plan.error), plan.goal()
     spent = dict(context.watch.seconds)
     if effort is not None:

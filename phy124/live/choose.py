@@ -15,6 +15,7 @@ from phy124.particles.thickness import Proportions
 from phy124.runtime.context import RunContext
 from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene
+from phy124.scene.lattices import choose_solver
 from phy124.simulation.bodies import proportions_of
 
 CELLS = (8, 10, 12, 14, 16, 20, 24, 28, 32)
@@ -96,6 +97,7 @@ def held_rate(
         InputError: The object or the scene cannot be used, or a number is out of bounds.
     """
     rate, context = check_number("rate", rate, 0.01, 100), context or RunContext()
+    scene = choose_solver(scene, context.device)
     proportions = proportions_of(gaussians, scene)
     start = partial(Live, gaussians, shapes=shapes, crop=crop)
     if max_error is None:

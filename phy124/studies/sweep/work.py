@@ -29,6 +29,7 @@ from phy124.runtime.context import RunContext
 from phy124.runtime.startup import start
 from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene
+from phy124.scene.lattices import choose_solver
 from phy124.simulation import Interrupted, Simulation, prepare
 from phy124.studies.sweep.plan import Item
 from phy124.studies.sweep.storage import Filling, Storage, fetch
@@ -308,7 +309,7 @@ def _store(
     # files.
     report = {k: v for k, v in clip.report.items() if k != "substep_stages"}
     report |= view_report(clip, scene.view) if order.films else {}
-    report["promise"] = asdict(promise(scene, None, report))
+    report["promise"] = asdict(promise(choose_solver(scene, context.device), None, report))
     here = filling.place
     with watch.stage("store"):
         clip.with_report(report).save(here / "clip.safetensors")

@@ -12,6 +12,7 @@ from phy124.accuracy.difference import Difference
 from phy124.accuracy.promises import check_promise, format_percent, promise, torn
 from phy124.particles.thickness import Proportions
 from phy124.scene import PRESETS, Scene
+from phy124.scene.lattices import keep_lattice
 
 COARSEST = 8
 """Smallest number of cells across the object of a recommended setting."""
@@ -190,7 +191,8 @@ def kept_promises(
         elif convergence.error is None or row.error is None:
             sentences[name] = f"cannot be judged: {convergence.why_not}"
         else:
-            promised = promise(scene.model_copy(update={"accuracy": name}), proportions)
+            stated = keep_lattice(scene.model_copy(update={"accuracy": name}), scene)
+            promised = promise(stated, proportions)
             sentences[name] = check_promise(promised, row.error, until, row.stated)
     return sentences
 

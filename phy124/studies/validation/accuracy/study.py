@@ -29,6 +29,7 @@ from phy124.progress import Progress
 from phy124.runtime.context import RunContext
 from phy124.runtime.failures import failure, is_stop
 from phy124.scene import Accuracy, Scene
+from phy124.scene.lattices import choose_solver
 from phy124.simulation import Simulation, Stopped, prepare
 from phy124.studies.validation.accuracy.report import Report, Row, kept_promises, recommend
 
@@ -70,6 +71,7 @@ class Study:
     _forecaster: Forecaster = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        self.scene = choose_solver(self.scene, self.context.device)
         self._forecaster = Forecaster(self.context)
         self._proportions: Proportions | None = None
 
