@@ -1,6 +1,7 @@
 """Goals and predictions of a run, declared once for both commands."""
 
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -111,7 +112,9 @@ def test_a_dry_run_tells_the_grid_that_a_time_leads_to(file, tmp_path, capsys, m
     arguments = ["simulate", str(file), "--out", str(tmp_path / "o"), *SMALL, *BY_PARTICLES]
     arguments += ["--dry-run"]
     assert main([*arguments, "--max-seconds", "1000"]) == 0
-    assert "asked for at most 1000 s: D/" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "asked for at most 1000 s: D/" in printed
+    assert re.search(r"^ +particles +\S+ s +\(measured\)$", printed, re.MULTILINE)
     assert main([*arguments, "--max-error", "2%"]) == 2
     assert "Remove --dry-run" in capsys.readouterr().err
     assert main([*arguments[:-1], "--max-error", "2%", "--forecast"]) == 2

@@ -353,7 +353,8 @@ def in_time(
     crop: Crop = WHOLE,
     forecaster: Forecaster | None = None,
 ) -> tuple[Scene, Forecast]:
-    """Return the scene on the finest grid whose predicted time is short enough, and the forecast.
+    """Return the scene on the finest grid whose predicted time is short enough, and the forecast
+    with the time in which particles were made for all grids of the search.
 
     Args:
         goal: The maximum time.
@@ -371,7 +372,8 @@ def in_time(
     runs = _Runs(gaussians, scene, context, crop)
     forecaster = forecaster or Forecaster(context)
     fit = _find_finest(goal, runs, forecaster, elapsed)
-    return fit.simulation.scene, fit.forecast
+    preparing = context.watch.seconds.get("particles", 0.0)
+    return fit.simulation.scene, fit.forecast.with_measured("particles", preparing)
 
 
 class _Fit(NamedTuple):
