@@ -10,6 +10,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -185,7 +186,7 @@ class Studio:
         Raises:
             InputError: The run would be refused.
         """
-        scene = self._scene(self.visitors.find(choice.name), choice.data)
+        scene = self._scene(self.visitors.find(choice.name), choice)
         self._check_time(choice.source, scene)
         order = self._order(choice, scene)
         return self._complete(self._predict(choice.source, scene, order), choice, scene, order)
@@ -199,7 +200,7 @@ class Studio:
         visitor = self.visitors.find(choice.name)
         if self.forks or visitor is None or not is_there(choice.source):
             return None
-        scene = self._scene(visitor, choice.data)
+        scene = self._scene(visitor, choice)
         self._check_time(choice.source, scene)
         if not DEVICE.acquire(blocking=False):
             return None
@@ -251,23 +252,23 @@ class Studio:
         estimate = replace(estimate, promise=promise, accuracy=scene.accuracy, stops=stops)
         estimate = replace(estimate, course=course)
         if promise.missing and not promise.of_scene:
-            seconds = self._study_seconds(choice.source, scene, order)
-            estimate = replace(estimate, study_seconds=seconds)
+            with suppress(InputError):  # if the study would be refused, it is not offered
+                self._check_study(choice.source, scene)
+                seconds = self._study_seconds(choice.source, scene, order)
+                estimate = replace(estimate, study_seconds=seconds)
         return replace(estimate, study=study)
 
     def check_extras(self, name: str, extras: Any) -> ExtraInputs:
         """Validate a visitor's optional inputs; raise InputError if one is invalid."""
         return extras_of(self.visitors, self.settings, name, extras)
 
-    def run(self, choice: Choice, limits: Settings | None = None) -> Job:
+    def run(self, choice: Choice) -> Job:
         """Start a run, which generates the Gaussians, simulates their motion and renders videos.
-
-        `limits` are the limits of this run; by default, the limits of the page.
 
         Raises:
             InputError: The source, the scene or an input is invalid.
         """
-        visitor, source, scene = self.resolve(choice, limits)
+        visitor, source, scene = self.resolve(choice)
         self._check_time(source, scene)
         order = self.order((visitor, source, scene), self.check_extras(choice.name, choice.extras))
         usual = self._predict(source, scene, order)
@@ -290,17 +291,19 @@ class Studio:
             InputError: The source, the scene or an input is invalid.
         """
         visitor, source, scene = self.resolve(choice)
-        levels = grids(scene)
-        for cells in levels:
-            check_limits(on_grid(scene, cells), self.settings)
-        count = self.count(source)
-        check_time(self.forecaster.min_study(scene, levels, gaussians=count), self.settings)
+        self._check_study(source, scene)
         order = self.order((visitor, source, scene), self.check_extras(choice.name, choice.extras))
         expected = self._study_seconds(source, scene, order)
         stages = MEASURING if isinstance(source, Cutout) else MEASURING | READING
         job = Job("measure", visitor.new_stop_file(), expected, stages=stages)
-        order = replace(order, stop=job.stop, expected=expected, levels=levels)
+        order = replace(order, stop=job.stop, expected=expected, levels=grids(scene))
         return self._submit(visitor, job, self.runs, lambda job: self._run(visitor, order, job))
+
+    def _check_study(self, source: Source | None, scene: Scene) -> None:
+        levels, count = grids(scene), self.count(source)
+        for cells in levels:
+            check_limits(on_grid(scene, cells), self.settings)
+        check_time(self.forecaster.min_study(scene, levels, gaussians=count), self.settings)
 
     def _study_seconds(self, source: Source | None, scene: Scene, order: Order | None) -> float:
         return self.forecaster.study(
@@ -311,12 +314,8 @@ class Studio:
             compiling=self._compiling(on_grid(scene, grids(scene)[0])),
         )
 
-    def resolve(
-        self, choice: Choice, limits: Settings | None = None
-    ) -> tuple[Visitor, Source, Scene]:
+    def resolve(self, choice: Choice) -> tuple[Visitor, Source, Scene]:
         """Return the visitor, the object's source and the scene that the visitor has chosen.
-
-        `limits` are the limits of this request; by default, the limits of the page.
 
         Raises:
             InputError: The source no longer exists, or the scene is invalid.
@@ -324,11 +323,12 @@ class Studio:
         visitor, source = self.visitors.find(choice.name), choice.source
         if visitor is None or source is None or not is_there(source):
             raise missing(source)
-        return visitor, source, self._scene(visitor, choice.data, limits)
+        return visitor, source, self._scene(visitor, choice)
 
-    def _scene(self, visitor: Visitor | None, data: Any, limits: Settings | None = None) -> Scene:
+    def _scene(self, visitor: Visitor | None, choice: Choice) -> Scene:
         """A scene may name uploads of the visitor but no other files."""
-        scene = scene_of(data, limits or self.settings, visitor and visitor.folder / "uploads")
+        uploads = visitor and visitor.folder / "uploads"
+        scene = scene_of(choice.data, choice.limits or self.settings, uploads)
         for _, path in files_named(scene):
             renew(path)
         return scene

@@ -103,6 +103,8 @@ class Choice:
     """The scene as plain data."""
     extras: Any = None
     """Optional inputs in addition to the front picture, with option names as keys."""
+    limits: Settings | None = None
+    """Limits of the scene; None: the limits of the page."""
 
 
 def is_there(source: Source | None) -> bool:

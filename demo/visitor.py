@@ -93,10 +93,11 @@ class Visitor:
         runs = [job for job in self.jobs.values() if job.kind == "run"]
         return next((j for j in reversed(runs) if result and j.progress.result == result), None)
 
-    def stop(self) -> None:
-        """Cancel all jobs that are running or waiting."""
+    def stop(self, *kinds: str) -> None:
+        """Cancel the jobs of the named kinds that are running or waiting; by default, all jobs."""
         for job in list(self.jobs.values()):
-            job.cancel()
+            if not kinds or job.kind in kinds:
+                job.cancel()
 
     def touch(self) -> None:
         """Record that the visitor is still present."""

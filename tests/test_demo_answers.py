@@ -187,6 +187,33 @@ def test_the_time_of_a_trial_run_is_that_of_its_object(studio, sources, monkeypa
     assert studio.run(asked[0]).progress.expected < 1234.0, "only the videos are made"
 
 
+def test_cancelling_a_run_leaves_the_fit(studio, handlers, monkeypatch):
+    monkeypatch.setattr(handlers.run, "visitor_of", lambda _: "a")
+    visitor = studio.visitors.get("a")
+    jobs = {kind: Job(kind, visitor.new_stop_file()) for kind in ("fit", "run", "measure")}
+    for job in jobs.values():
+        job.progress.begin()
+        visitor.remember(job)
+    handlers.on_cancel(studio)(None)
+    assert [kind for kind, job in jobs.items() if job.stop.exists()] == ["run", "measure"]
+
+
+def test_a_long_live_run_can_be_made_finer(studio, sources, handlers, monkeypatch):
+    monkeypatch.setattr(handlers.run, "visitor_of", lambda _: "a")
+    monkeypatch.setattr(studio, "work", lambda order: iter([done]))
+    monkeypatch.setattr(studio.forecaster, "learn", lambda *_: None)
+    monkeypatch.setattr(Done, "report", {})
+    done = Done(Path("clip"), Path("films"), Path("study"))
+    long = Scene.named("drop").replaced({"time.frames": 200, "accuracy": {"cells": 8}})
+    ticket = studio.touches.give("a", SimpleNamespace())
+    ticket.session = long.data()
+    handlers.on_save(studio)(sources[0], None, None)
+    saved = studio.visitors.get("a").latest("run")
+    assert saved.wait(60)
+    answer = handlers.on_finer(studio)(done, None)[0]
+    assert answer.get("finer"), answer["message"]
+
+
 def test_a_trial_run_has_the_threads_and_masks_of_the_run(studio, sources, monkeypatch):
     trials, usual = [], studio.forecaster(Scene.named("drop"))
     monkeypatch.setattr("demo.jobs.seconds_to_compile", lambda *_: 0.0)

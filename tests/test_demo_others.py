@@ -207,7 +207,7 @@ def test_grab_and_its_clip_take_the_same_object(studio):
     player._save(None)
     (session,) = [json.loads(content) for letter, content in said if letter == SESSION]
     assert (session["forces"][-1]["kind"], session["forces"][-1]["object"]) == ("grab", "above")
-    job = studio.run(Choice("a", Cutout(str(DUCK), str(DUCK)), session), most)
+    job = studio.run(Choice("a", Cutout(str(DUCK), str(DUCK)), session, limits=most))
     assert job.wait(300) and job.progress.state == "done", job.progress.message
     report = job.progress.result.report
     assert set(report["objects"]) == {"below", "board", "above"}

@@ -181,6 +181,16 @@ def test_study_is_offered_where_nothing_was_measured(visit, handlers):
     assert "error not measured" not in after
 
 
+def test_a_study_that_would_be_refused_is_not_offered(visit):
+    studio, cutout, data = visit
+    choice = Choice("a", cutout, {**data, "accuracy": {"cells": 8}})
+    assert studio.forecast(choice).study_seconds is not None
+    few = Studio(Settings(max_cells=16), studio.visitors)
+    assert few.forecast(choice).study_seconds is None
+    with pytest.raises(InputError, match="at most 16 cells"):
+        few.measure(choice)
+
+
 @pytest.mark.slow
 def test_report_includes_a_later_study(visit, handlers, monkeypatch, gradio):
     for module in (handlers.results, handlers.event):

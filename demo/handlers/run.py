@@ -187,12 +187,12 @@ def busy_buttons() -> tuple[Any, Any]:
 
 
 def on_cancel(studio: Studio) -> Handler:
-    """Handle the button "Cancel": stop the jobs of this visitor."""
+    """Handle the button "Cancel": stop this visitor's runs and studies, but no other job."""
 
     def stop(request: gr.Request) -> None:
         visitor = studio.visitors.find(visitor_of(request))
         if visitor is not None:
-            visitor.stop()
+            visitor.stop("run", "measure")
 
     return stop
 
@@ -227,7 +227,7 @@ def on_save(studio: Studio) -> Handler:
         objects = 1 + len(ticket.session.get("objects", []))
         limits = limits_of(studio.settings, objects * studio.count(source))
         try:
-            job = studio.run(Choice(name, source, ticket.session, extras), limits)
+            job = studio.run(Choice(name, source, ticket.session, extras, limits))
         except InputError as error:
             return gr.skip(), *idle_buttons(), {"refused": user_message(error)}
         studio.touches.leave(name)
