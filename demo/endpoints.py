@@ -20,7 +20,7 @@ from phy124.schema.refusals import shorten
 from phy124.schema.section import Section
 
 from .catalogue import check_length
-from .exports import EXPORTS, check_size, export, notes_on
+from .exports import check_size, export, notes_on, offered_formats
 from .extras import AXES
 from .fits import FitOptions
 from .guard import address_of, visitor_of
@@ -118,7 +118,7 @@ def endpoints(studio: Studio) -> None:
         size = _unread(gr.Number(512, label="size", precision=0, minimum=16))
         elevation = _unread(gr.Number(10, label="elevation", minimum=-89, maximum=89))
         speed = _unread(gr.Number(label="speed"))
-        formats = _unread(gr.CheckboxGroup(list(EXPORTS), value=[], label="formats"))
+        formats = _unread(gr.CheckboxGroup(offered_formats(), value=[], label="formats"))
         run = gr.State(None)
         files, report = gr.File(file_count="multiple", label="files"), gr.JSON(label="report")
         # These endpoints only wait for jobs, which wait in the queue of the page.
@@ -185,7 +185,7 @@ def _generate(studio: Studio) -> Callable[[gr.Request, GenerateRequest], Iterato
     def generate(request: gr.Request, asked: GenerateRequest) -> Iterator[tuple[Any, ...]]:
         """Turn a picture or a file of Gaussians into a moving object; return files and a report."""
         name = _admit(studio, request)
-        kinds = _check_choices("formats", asked.formats or [], list(EXPORTS))
+        kinds = _check_choices("formats", asked.formats or [], offered_formats())
         scene, cutting = _cut_out(studio, name, asked)
         gaussians = len(scene.names) * studio.settings.gaussians
         with _refusing():

@@ -31,6 +31,11 @@ TAIL = 60.0
 """Time limit for the bridge to record a bag [s]."""
 
 
+def offered_formats() -> list[str]:
+    """Return the names of the formats that this server can write."""
+    return [kind for kind, each in EXPORTS.items() if each.available()]
+
+
 def export(kinds: Sequence[str], done: Done, visitor: Visitor, visitors: Visitors) -> list[Path]:
     """Return the files of a finished run in the requested formats; create files that are missing.
 
@@ -44,7 +49,7 @@ def export(kinds: Sequence[str], done: Done, visitor: Visitor, visitors: Visitor
         InputError: A format does not exist, cannot be written, or needs too much disk space.
     """
     for kind in kinds:
-        if kind not in EXPORTS or not EXPORTS[kind].available():
+        if kind not in offered_formats():
             limit = "This server does not offer this format."
             raise InputError("format", kind, limit, "Choose another one.")
     paths = [done.exports / EXPORTS[kind].file for kind in kinds]

@@ -40,7 +40,7 @@ from .endpoints import NOTHING_YET, FitOptions
 from .extras import Photographed
 from .guard import NAME, address_of, make_name
 from .line import FAILED
-from .photo import FETCHES_NOTHING, NO_FILE, save_data_url
+from .photo import FETCHES_NOTHING, save_data_url
 from .progress import close_now
 from .traffic import TOOLS
 from .visitors import Visitor
@@ -52,7 +52,8 @@ if TYPE_CHECKING:
 
 LOG = logging.getLogger("phy124.web")
 FILES = (gr.Image, gr.File)
-FILE = "A data: URL with base64, or the path that POST gradio_api/upload of this server returned."
+PATH = "the path that POST gradio_api/upload of this server returned."
+FILE = f"A data: URL with base64, or {PATH}"
 RUN = "The name of a run, as generate returned it."
 DESCRIPTIONS = {
     "image": f"A picture of one object, or a file of Gaussians. {FILE}",
@@ -63,7 +64,7 @@ DESCRIPTIONS = {
     "up": "Axis that points up in a file of Gaussians, for example -y.",
     "front": "Axis that points to the front in a file of Gaussians.",
     "formats": "Further files to make.",
-    "video": f"Video of the real object's motion. {FILE}",
+    "video": f"Video of the real object's motion: {PATH}",
     "elevation": "Elevation of the camera above the horizon [degrees].",
     **dict.fromkeys(("second", "third", "fourth"), f"Picture of a further object. {FILE}"),
 }
@@ -161,7 +162,7 @@ def _describe(tool: str, name: str, files: set[str]) -> str:
     sections = (FitOptions,) if tool == "fit" else (OtherViews, DepthMap, Photographed, View)
     fields = [each.model_fields[name] for each in sections if name in each.model_fields]
     text = DESCRIPTIONS.get(name) or (fields[0].description if fields else "") or name
-    return f"{text} {FILE}" if name in files and FILE not in text else text
+    return f"{text} {FILE}" if name in files and name not in DESCRIPTIONS else text
 
 
 class ToolServer:
@@ -255,7 +256,7 @@ class ToolServer:
                 raise gr.Error(f"{name}: {FETCHES_NOTHING}")
             if value.startswith("data:"):
                 if name == "video":
-                    raise gr.Error(f"{name}: {NO_FILE}")
+                    raise gr.Error(f"{name}: A video cannot be a data: URL. Give {PATH}")
                 sent[name] = await to_thread.run_sync(save_data_url, value, self.studio, name)
         return sent
 
