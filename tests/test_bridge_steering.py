@@ -9,11 +9,12 @@ from rosbags.rosbag2 import Reader
 
 from bridge import info
 from bridge.__main__ import main
+from bridge.cameras import Cameras
 from bridge.encoder import FrameEncoder
 from bridge.recover import recover
 from bridge.sinks.mcap import McapSink
 from bridge.steering.inputs import Remarks
-from bridge.steering.loop import contact_messages, controls
+from bridge.steering.loop import contact_messages, controls, steer
 from bridge.steering.run import State
 from bridge.steering.standard import Code, Feature, Standard
 from bridge.steering.transforms import Transforms
@@ -381,6 +382,27 @@ def test_topics_and_frames_name_the_object(tmp_path, monkeypatch):
     assert frames == ["phy124_com", "phy124_object_com", "phy124_box_com"]
     clouds = [message for topic, message in options if topic == "/phy124/points"]
     assert all(cloud.fields[-1].name == "object_id" for cloud in clouds)
+
+
+def test_frames_that_the_bridge_publishes_are_known():
+    """Only rclpy returns to a node the transforms that the node itself publishes."""
+    run = steered(changes=WEIGHTLESS)
+    run.advance()
+    run.inputs.transform(transform("phy124_com", "tool", (0, 0, 0.3)))
+    wanted = {"phy124_com": run.live.centre, "tool": run.live.centre + (0, 0, 0.3)}
+    chosen = OPTIONS.model_copy(update={"views": ("front",), "images": ("mask",)})
+    with Cameras(chosen, run.live.scene.data()) as cameras:
+        sink = SimpleNamespace(show=lambda *_: None, write=lambda *_: None, send=lambda *_: None)
+        steer(run, sink, chosen, look=cameras.look, frames=2)
+        (picture,) = cameras.look(run.live.step()).pictures
+    run.show = lambda frame: None
+    for frame, place in wanted.items():
+        assert np.allclose(run.inputs.pose(frame)[:3, 3], place, atol=1e-6)
+    seen = run.inputs.pose("phy124_camera_front_optical")
+    assert np.allclose(picture.camera.view @ seen, np.eye(4))
+    run.inputs.grab(point((0, 0, 0), frame="phy124_com"))
+    run.advance()
+    assert run.live.holds and not run.remarks.count
 
 
 def test_every_contact_has_a_topic():

@@ -6,18 +6,21 @@ newest grab are applied, so the work does not depend on the number of messages.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from phy124.errors import InputError
 
 from .. import cdr
+from ..camera_messages import optical_frame
+from ..cameras import Picture
 from ..options import Options
 from ..topics import GRAB, PUSH, TF, TF_STATIC, Hear, Topic
-from .transforms import Transforms
+from .transforms import Transforms, translation
 
 if TYPE_CHECKING:
     from phy124.live import Live
@@ -46,6 +49,13 @@ def object_frame(options: Options, name: str) -> str:
     return f"{options.frame_id}_{name.replace('-', '_')}_com"
 
 
+def centre_frames(live: Live, options: Options) -> dict[str, NDArray[np.float64]]:
+    """Return the origins [3], m, of the frames at centres of mass, by the name of the frame."""
+    centres = live.centres if live.scene.objects else {}
+    frames = {object_frame(options, name): place for name, place in centres.items()}
+    return {centre_frame(options): live.centre} | frames
+
+
 class Inputs:
     """Collects wrenches, grabs and transforms that peers send."""
 
@@ -71,7 +81,7 @@ class Inputs:
             oldest: Largest age of a message, determined from its time stamp [s].
             now: Function that returns the simulated time as used in time stamps [s since 1970].
         """
-        self._live, self._remarks = live, remarks
+        self._live, self._options, self._remarks = live, options, remarks
         self._push_seconds, self._grab_seconds = push_seconds, grab_seconds
         self._oldest, self._now = oldest, now
         self._grabbed = 0.0  # simulated time of the last message that grabbed [s]
@@ -132,12 +142,22 @@ class Inputs:
 
     def pose(self, frame: str) -> np.ndarray:
         """Return the pose of a frame in the world [4,4]; raise InputError if it is unknown."""
+        self._place_centres()
         return self._transforms.pose(frame)
+
+    def see(self, pictures: Sequence[Picture]) -> None:
+        """Store the poses of the cameras in the newest frame."""
+        for picture in pictures:
+            pose = translation(np.array(picture.camera.eye, float))
+            pose[:3, :3] = picture.camera.view[:3, :3].T
+            self._transforms.place(optical_frame(self._options, picture.name), pose)
 
     def apply(self) -> None:
         """Apply the inputs that have arrived since the last frame."""
         if self._let_go:
             self._live.release()
+        if self._pushes or self._grab is not None:
+            self._place_centres()
         for message in self._pushes.values():
             self._attempt(lambda message=message: self._push(message))
         if self._grab is not None:
@@ -153,6 +173,10 @@ class Inputs:
     def clear(self) -> None:
         """Discard the inputs that have arrived since the last frame."""
         self._pushes, self._grab, self._let_go = {}, None, False
+
+    def _place_centres(self) -> None:
+        for frame, origin in centre_frames(self._live, self._options).items():
+            self._transforms.place(frame, translation(origin))
 
     def _push(self, message: Any) -> None:
         frame, wrench = message.header.frame_id, message.wrench
@@ -174,17 +198,12 @@ class Inputs:
         """A point in an object's coordinate frame selects that object."""
         frame = self._grab.header.frame_id
         name = self._objects.get(frame)
-        place = self._transforms.pose(frame) if name is None else self._at(name)
-        target = (place @ [*_numbers("grab.point", self._grab.point), 1.0])[:3].tolist()
+        pose = self._transforms.pose(frame)
+        target = (pose @ [*_numbers("grab.point", self._grab.point), 1.0])[:3].tolist()
         if self._live.holds:
             self._live.move_to(target)
         else:
             self._live.grab(target, object=name)
-
-    def _at(self, name: str) -> np.ndarray:
-        place = np.eye(4)
-        place[:3, 3] = self._live.centres.get(name, np.full(3, np.nan))
-        return place
 
     def _attempt(self, action: Callable[[], None]) -> None:
         try:

@@ -12,10 +12,11 @@ from phy124.errors import InputError
 from phy124.gaussians import Frame
 
 from .. import cdr
+from ..cameras import SeenFrame
 from ..options import Options
 from ..sink import LONGEST_WAIT, LiveSink, Recorder
 from ..topics import FACTOR, PUSH, STEERED, TF, Controls, Message, contact
-from .inputs import centre_frame, object_frame
+from .inputs import centre_frame, centre_frames, object_frame
 from .run import SteeredRun
 from .standard import Standard
 
@@ -85,6 +86,7 @@ def steer(
 
     def show(frame: Frame) -> None:
         seen = look(frame)
+        run.inputs.see(seen.pictures if isinstance(seen, SeenFrame) else ())
         for outlet in outlets:
             outlet.write(seen)
         for message in contact_messages(run.live, options, frame.time):
@@ -152,8 +154,7 @@ def contact_messages(live: Live, options: Options, seconds: float) -> list[Messa
     """
     stamp, centre = cdr.stamp(options.epoch or 0.0, seconds), live.centre
     when, whole = cdr.time(stamp), centre_frame(options)
-    centres = live.centres if live.scene.objects else {}
-    frames = {whole: centre} | {object_frame(options, name): at for name, at in centres.items()}
+    frames = centre_frames(live, options)
     header = {"stamp": when, "frame_id": options.frame_id}
     axes = {"rotation": (0.0, 0.0, 0.0, 1.0)}  # those of the world
     links = [

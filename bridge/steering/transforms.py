@@ -40,6 +40,10 @@ class Transforms:
                 raise InputError("tf", child, limit, "Publish fewer frames.")
             self._links[child] = link.header.frame_id, _pose(child, link.transform)
 
+    def place(self, frame: str, pose: Pose) -> None:
+        """Store the pose in the world of a frame that the bridge itself publishes."""
+        self._links[frame] = self.world, pose
+
     def pose(self, frame: str) -> Pose:
         """Return the pose of a frame in the world.
 
@@ -65,6 +69,13 @@ class Transforms:
         raise InputError("frame_id", frame, limit, "Correct the tree of coordinate frames (TF).")
 
 
+def translation(place: NDArray[np.float64]) -> Pose:
+    """Return the pose of a frame that has its origin at `place` [3], m, and the world's axes."""
+    pose = np.eye(4)
+    pose[:3, 3] = place
+    return pose
+
+
 def _pose(name: str, transform: Any) -> Pose:
     q, t = transform.rotation, transform.translation
     quaternion, place = np.array([q.x, q.y, q.z, q.w]), np.array([t.x, t.y, t.z])
@@ -75,11 +86,10 @@ def _pose(name: str, transform: Any) -> Pose:
             "tf", name, limit, "Publish a unit quaternion (x y z w) and a translation in metres."
         )
     x, y, z, w = quaternion / length
-    pose = np.eye(4)
+    pose = translation(place)
     pose[:3, :3] = (
         (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
         (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
         (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
     )
-    pose[:3, 3] = place
     return pose
