@@ -1,14 +1,18 @@
 """Runs beyond hours or memory are refused before they start, with the setting that would fit."""
 
+import math
+
 import pytest
 
-from phy124.budget.cost import Work, estimate, estimate_memory, rest_substeps
+from phy124.budget.cost import Work, estimate, estimate_memory, largest_speed, rest_substeps
 from phy124.budget.limits import check_limits, duration, note_costs
 from phy124.errors import InputError
 from phy124.particles import make_particles
 from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
 from support.shapes import ball
+
+TWICE = {"kind": "ramp", "duration": 0.1, "first": 2.0, "last": 2.0}
 
 pytestmark = pytest.mark.usefixtures("coarse_solids")
 
@@ -123,6 +127,23 @@ def test_motion_that_takes_many_substeps_is_noted_before_a_run(preset, size, for
     scene = Scene.named(preset).replaced({"object.size": size, "forces": [force]})
     (said,) = note_costs(scene)
     assert "times as many as at rest" in said and "smaller forces and speeds" in said
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"forces": [{"kind": "set_velocity", "v": [0.0, 12.0, 16.0]}]},
+        {"forces": [{"kind": "impulse", "p": [0.0, 20 * 0.19 * 1000.0, 0.0]}]},
+        {"forces": [{"kind": "wind", "v": [0.0, 20.0, 0.0], "rate": 1000.0}]},
+        {"forces": [{"kind": "acceleration", "a": [0.0, 20.0, 0.0], "profile": TWICE}]},
+        {"boundaries": [{"kind": "press", "depth": 0.5, "down": 0.1, "up": math.pi / 80}]},
+    ],
+)
+def test_largest_speed_counts_all_forces_and_walls(changes):
+    """Each force or wall causes 20 m/s, the last one by a cosine ramp."""
+    size = {"object.size": 1.0, "material.density": 1000.0, "time.frames": 25}
+    scene = Scene.named("push_right").replaced({"forces": [], **size, **changes})
+    assert largest_speed(scene) == pytest.approx(20)
 
 
 def test_gentle_forces_are_not_called_slow():

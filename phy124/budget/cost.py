@@ -9,18 +9,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from phy124.forces import Force, TotalForce, WrenchForce
+from phy124.forces import Grab, Wind
 from phy124.gaussians import Gaussians
 from phy124.kernels.lattice.simd import has_stress
 from phy124.liquid.clock import CELLS, DIFFUSED, WAVES
 from phy124.mpm.timestep import CELLS_PER_STEP, ELASTIC_LIMIT, STRAIN_PER_STEP, beside_elastic
 from phy124.particles import Particles
 from phy124.scene import Scene
+from phy124.scene.energies import acts_for, duration, effect, wall_speed
 
 GAUSSIANS = 50_000
 """Number of Gaussians that `relief` makes from a picture."""
@@ -46,6 +47,8 @@ by dx / c.
 """
 WINDOW = 11
 """Number of nodes per axis in addition to the nodes across the object."""
+ACCELERATED = 0.5
+"""Longest time [s] in which a force is assumed to accelerate an object."""
 GRAVITY = 9.81
 """Acceleration that limits the time step of a projected liquid [m/s^2]."""
 BYTES_PER_PARTICLE = 400
@@ -188,27 +191,27 @@ def count_nodes(scene: Scene) -> int:
 
 
 def largest_speed(scene: Scene) -> float:
-    """Return an upper bound on the speed of all objects [m/s]: initial speed plus the gain in at
-    most 0.5 s.
+    """Estimate the largest speed of objects and walls [m/s].
+
+    The speed of an object is its initial speed, plus the speeds that forces cause suddenly, plus
+    the gain by accelerations in at most `ACCELERATED`. Wind causes at most its own speed.
     """
-    initial = max(
+    speed = max(
         math.hypot(*body.velocity) + math.hypot(*body.spin) * body.size / 2
         for body in scene.every_object
     )
-    mass = FILLED * scene.object.size**3 * scene.material.density
-    gain = sum(_acceleration(force, mass) for force in scene.forces)
-    return initial + gain * min((scene.time.frames - 1) / scene.time.fps, 0.5)
-
-
-def _acceleration(force: Force, mass: float) -> float:
-    """Return the largest acceleration [m/s^2] of an object of this mass [kg]."""
-    match force:
-        case TotalForce():
-            return math.hypot(*force.f) / mass
-        case WrenchForce():
-            return math.hypot(*force.force) / mass
-    push: Any = getattr(force, "g", None) or getattr(force, "a", None) or 0.0
-    return float(np.linalg.norm(push))
+    mass, end = FILLED * scene.object.size**3 * scene.material.density, duration(scene)
+    walls = [wall_speed(wall, scene.object.size, end) for wall in scene.with_solids().boundaries]
+    for force in scene.acting:
+        if isinstance(force, Grab):
+            walls.append(force.target().fastest(0.0, end))
+            continue
+        kick, pull = effect(force, mass, scene)
+        gain = pull * min(acts_for(force, end), ACCELERATED)
+        if isinstance(force, Wind):
+            gain = min(gain, math.hypot(*force.v))
+        speed += (kick + gain) * force.track((1.0, 0.0, 0.0)).largest(0.0, end)
+    return max([speed, *walls])
 
 
 def rest_substeps(scene: Scene) -> float:

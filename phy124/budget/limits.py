@@ -186,7 +186,7 @@ def _note_speed(scene: Scene) -> str | None:
     if ratio < MANY or seconds < LONG:
         return None
     return (
-        f"Forces and initial speeds may accelerate an object to {largest_speed(scene):,.2g} "
+        f"Forces, walls and initial speeds may accelerate material to {largest_speed(scene):,.2g} "
         f"m/s. The run may then need {substeps:,} substeps, {ratio:.0f} times as many as at "
         f"rest, and take about {duration(seconds)} on a CPU. To make the run faster, use "
         "smaller forces and speeds, or larger cells."

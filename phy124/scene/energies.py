@@ -30,15 +30,15 @@ def energy(scene: Any, thickness: float | None = None) -> float:
     speed = max(_speed(body, size) for body in bodies)
     squares, walls = (
         0.0,
-        sum(_wall_speed(wall, size, end) for wall in scene.with_solids().boundaries),
+        sum(wall_speed(wall, size, end) for wall in scene.with_solids().boundaries),
     )
     for force in scene.acting:
         if isinstance(force, Grab):
             walls += force.target().fastest(0.0, end)
             continue
         peak = force.track((1.0, 0.0, 0.0)).largest(0.0, end)
-        kick, pull = _effect(force, mass, scene)
-        lasts = _lasts(force, end)
+        kick, pull = effect(force, mass, scene)
+        lasts = acts_for(force, end)
         speed += peak * kick
         top = peak * math.hypot(*force.v) if force.kind == "wind" else math.inf
         pull *= peak
@@ -52,14 +52,14 @@ def driven(scene: Any) -> float:
     """
     end = duration(scene)
     moved = [
-        force.track((1.0, 0.0, 0.0)).largest(0.0, end) * math.hypot(*force.v) * _lasts(force, end)
+        force.track((1.0, 0.0, 0.0)).largest(0.0, end) * math.hypot(*force.v) * acts_for(force, end)
         for force in scene.acting
         if force.kind == "set_velocity"
     ]
     return max(moved, default=0.0) / scene.object.size
 
 
-def _lasts(force: Any, end: float) -> float:
+def acts_for(force: Any, end: float) -> float:
     """Return the time for which a force acts before the scene ends [s]."""
     return max(0.0, (end if force.end is None else min(force.end, end)) - force.start)
 
@@ -69,7 +69,7 @@ def _speed(body: Any, size: float) -> float:
     return math.hypot(*getattr(body, "velocity", (0.0,))) + spin
 
 
-def _effect(force: Any, mass: float, scene: Any) -> tuple[float, float]:
+def effect(force: Any, mass: float, scene: Any) -> tuple[float, float]:
     """Return the speed [m/s] and the acceleration [m/s^2] that a force causes at full strength."""
     size = scene.object.size
     match force.kind:
@@ -97,7 +97,7 @@ def _mass(scene: Any, thickness: float | None) -> float:
     return min(section.density for section in scene.materials) * part * scene.object.size**3
 
 
-def _wall_speed(wall: Any, size: float, end: float) -> float:
+def wall_speed(wall: Any, size: float, end: float) -> float:
     """Return the largest speed of a wall [m/s].
 
     If a wall that holds points changes its velocity suddenly, the change counts as a speed, because
