@@ -21,8 +21,8 @@ SOLIDS: dict[str, dict[str, Any]] = {
     "ground": {"kind": "ground"},
     "half_space": {"kind": "half_space", "point": [0, 0, 0.15], "normal": [0.3, 0.2, 0.93]},
     "box": {"kind": "box", "lower": [-0.25, -0.3, -0.3], "upper": [0.3, 0.25, 0.2]},
-    "sphere": {"kind": "sphere", "centre": [0.1, 0.05, 0.1], "radius": 0.3},
-    "capsule": {"kind": "capsule", "start": [-0.4, 0, 0], "end": [0.4, 0.1, 0.1], "radius": 0.25},
+    "sphere": {"kind": "sphere", "centre": [0.1, 0.05, 0.1], "radius": 0.25},
+    "capsule": {"kind": "capsule", "start": [-0.4, 0, 0], "end": [0.4, 0.1, 0.1], "radius": 0.2},
     "container": {
         "kind": "container",
         "inside": {"lower": [-0.4, -0.4, 0.1], "upper": [0.4, 0.4, 2]},
