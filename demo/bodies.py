@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from typing import TYPE_CHECKING
 
@@ -19,8 +20,9 @@ HELD, SMALL = 128_000_000, 64_000
 """
 ODD = (
     "This request cannot be read: its JSON has too many values, or they are nested too deeply, or "
-    "one of them is NaN or Infinity."
+    "one of them is NaN or infinite."
 )
+NUMBER = re.compile(rb"\d[-+.\deE]*")
 
 
 class BodyLimit:
@@ -85,8 +87,8 @@ class BodyLimit:
 def is_plain(body: bytes) -> bool:
     """Return whether a JSON text has at most `VALUES` finite values, at most `DEEPEST` deep.
 
-    NaN and Infinity are not JSON; Python reads them, but Gradio cannot answer them. The check is
-    fast because it counts commas and brackets, even those inside strings.
+    NaN and Infinity are not JSON; Python reads them, and 1e999 as infinity, but Gradio cannot
+    answer them. The check is fast because it counts commas and brackets, even those inside strings.
     """
     marks = sum(body.count(mark) for mark in (b",", b"[", b"{"))
     # A zero byte indicates UTF-16 or UTF-32, in which the search would miss quotes.
@@ -96,12 +98,22 @@ def is_plain(body: bytes) -> bool:
     outside = b"".join(unescaped.split(b'"')[::2])
     if b"NaN" in outside or b"Infinity" in outside:
         return False
+    for count, number in enumerate(NUMBER.finditer(outside)):
+        if count > VALUES or _is_infinite(number[0]):
+            return False
     depth = 0
     for bracket in re.findall(rb"[\[\]{}]", outside):
         depth += 1 if bracket in b"[{" else -1
         if depth > DEEPEST:
             return False
     return True
+
+
+def _is_infinite(number: bytes) -> bool:
+    try:
+        return math.isinf(float(number))
+    except ValueError:
+        return False  # the text is not JSON, which its reader reports
 
 
 def _limit(receive: Receive, most: int) -> Receive:

@@ -35,7 +35,10 @@ def _nested(depth: int, beside: str = "") -> bytes:
         (json.dumps([1]).encode("utf-16"), False),
         (json.dumps({"frames": float("nan")}).encode(), False),
         (json.dumps([-float("inf")]).encode(), False),
-        (b'["NaN Infinity"]', True),
+        (b'["NaN Infinity 1e999"]', True),
+        (b"[1.5e+308, -2E-400, 1e5e9]", True),
+        (b"[-1e999]", False),
+        (b'{"E": 1' + b"0" * 400 + b".5}", False),
     ],
 )
 def test_json_is_bounded_in_number_and_depth(body, plain):
