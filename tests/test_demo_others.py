@@ -22,6 +22,8 @@ from demo.visitors import Visitors
 from demo.work import Order, gaussians_of, made_gaussians, stages_done
 from demo.work.others import with_crops
 from phy124.errors import InputError
+from phy124.generators.options import Effort
+from phy124.generators.relief import relief
 from phy124.runtime.isolated import Deadline
 from phy124.scene import Scene
 
@@ -63,6 +65,24 @@ def test_a_further_object_is_made_of_its_own_picture(studio):
     again = gaussians_of(order, made_gaussians(order))
     assert again.object_id is not None and np.array_equal(again.object_id, made.object_id)
     assert with_crops(order.scene, order.others).objects[0].crop[1] > 0
+
+
+def test_further_objects_have_the_generator_of_the_first(studio, monkeypatch):
+    used = []
+    monkeypatch.setattr("demo.extras.is_present", lambda name: True)
+    for module in ("extras", "work.motion"):
+        monkeypatch.setattr(
+            f"demo.{module}.make_generator", lambda name: used.append(name) or relief
+        )
+    monkeypatch.setattr("demo.extras.effort_of", lambda _: Effort(10.0, {}, ""))
+    data = _collide(**{"objects.0.picture": _sent(studio, TEDDY.read_bytes())})
+    asked = studio.resolve(Choice("a", Cutout(str(DUCK), str(DUCK)), data))
+    order = studio.order(asked, studio.check_extras("a", {"generator": "triposr"}))
+    assert stages_done(order)["network"] == 20.0
+    order.cut_views(SOON)
+    used.clear()
+    gaussians_of(order, made_gaussians(order))
+    assert used == ["triposr", "triposr"] and order.others[0].about["generator"] == "triposr"
 
 
 def test_object_without_picture_is_a_copy(studio):

@@ -13,7 +13,7 @@ from PIL import Image
 from phy124 import pipeline
 from phy124.errors import InputError
 from phy124.gaussians import Frame, Gaussians, as_objects
-from phy124.generators.relief import relief
+from phy124.generators import make as make_generator
 from phy124.io.clip import Clip
 from phy124.io.files import replacing
 from phy124.particles.thinning import with_count
@@ -41,7 +41,8 @@ def gaussians_of(order: Order, path: Path, tell: Tell = lambda event: None) -> G
         objects = {index: gaussians.of_object(index) for index in range(len(order.scene.names))}
         for number, other in enumerate(order.others, 1):
             with Image.open(other.cutout) as cutout:
-                objects[other.index] = _make_gaussians(order, relief, cutout, number, tell)
+                generator = make_generator(other.generator)
+                objects[other.index] = _make_gaussians(order, generator, cutout, number, tell)
         gaussians = as_objects({index: part for index, part in objects.items() if len(part)})
     Clip.from_frames([Frame(0, 0.0, gaussians)]).save(path)
     return gaussians

@@ -59,7 +59,7 @@ class Order:
     generator: str = "relief"
     """Name of the generator, or path of the file of Gaussians."""
     gaussians: int = GAUSSIANS
-    """Number of Gaussians that `relief` generates from each picture."""
+    """Number of Gaussians that are generated from each picture."""
     extras: ExtraInputs = NO_EXTRAS
     others: tuple[Other, ...] = ()
     photograph: Path | None = None
@@ -123,7 +123,7 @@ def stages_done(order: Order) -> dict[str, Any]:
         "filmed": films,
         "pictures": max(pictures, 1),
         "composed": composed,
-        "network": 0.0 if generated or clips else order.extras.making.seconds(),
+        "network": 0.0 if generated or clips else pictures * order.extras.making.seconds(),
     }
 
 
@@ -216,7 +216,7 @@ def order_of(
         generator=extras.making.generator if cutout else source.path,
         gaussians=count_of(source, limits),
         extras=extras,
-        others=others_of(visitor, scene),
+        others=others_of(visitor, scene, extras.making.generator),
         photograph=Path(source.picture) if extras.photographed.compose else None,
         device=limits.device,
         threads=limits.threads or None,

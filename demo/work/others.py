@@ -27,6 +27,8 @@ class Other:
     picture: Path
     cutout: Path
     """The cut-out, which `make_cutout` creates; its file name identifies the content."""
+    generator: str = "relief"
+    """Name of the generator, which is that of the first object's picture."""
 
     def make_cutout(self, deadline: Deadline) -> None:
         """Create the cut-out, unless it already exists.
@@ -47,13 +49,13 @@ class Other:
     def about(self) -> dict[str, Any]:
         """Entries in the report about the source of the object."""
         with Image.open(self.cutout) as cutout:
-            return {"generator": "relief", HOW: how_cut(cutout)}
+            return {"generator": self.generator, HOW: how_cut(cutout)}
 
 
-def others_of(visitor: Visitor, scene: Scene) -> tuple[Other, ...]:
+def others_of(visitor: Visitor, scene: Scene, generator: str) -> tuple[Other, ...]:
     """Return the further objects of a scene that have a picture."""
     return tuple(
-        Other(index, source.name, source.picture, cutout_file(visitor, source.picture))
+        Other(index, source.name, source.picture, cutout_file(visitor, source.picture), generator)
         for index, source in enumerate(scene.objects, 1)
         if source.picture is not None
     )
