@@ -366,7 +366,7 @@ def test_checks_that_were_made_are_shown_if_a_later_one_fails(monkeypatch, capsy
         yield stress.Row("a case", "-", "-", "pass")
         raise MemoryError
 
-    def verdicts():
+    def verdicts(**options):
         yield Verdict("ball", "speed", 0.0, 1.0)
         raise MemoryError
 
