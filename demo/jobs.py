@@ -39,7 +39,7 @@ from .pictures import Stroke, bytes_of_cutout, check_picture, cut_by, cut_once, 
 from .progress import MEASURING, READING, STAGES, close_now
 from .room import renew
 from .settings import Settings
-from .source import Choice, Cutout, Source, check_file, is_there, missing, open_gaussians
+from .source import EACH, Choice, Cutout, Source, check_file, is_there, missing, open_gaussians
 from .studies import grids, on_grid, read_study
 from .touch import Table
 from .visitors import Visitor, Visitors
@@ -124,8 +124,11 @@ class Studio:
 
         def work(job: Job) -> None:
             deadline = Deadline(self.settings.max_cut_seconds, job.check)
-            out = visitor.folder / "objects" / upload.stem
-            job.end("done", result=open_gaussians(upload, out, self.settings.gaussians, deadline))
+            out, most = visitor.folder / "objects" / upload.stem, self.settings.gaussians
+            with self.visitors.writing(visitor, EACH * most, (upload,), self.visitors.room.all):
+                result = open_gaussians(upload, out, most, deadline)
+            visitor.trim(self.visitors.room)
+            job.end("done", result=result)
 
         job = Job("read", visitor.new_stop_file(), subject=str(upload))
         return self._submit(visitor, job, self.cuts, work)

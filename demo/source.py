@@ -29,6 +29,8 @@ from .settings import Settings
 
 MEMORY = 3 << 30
 """Memory limit of the process that reads a file [bytes]."""
+EACH = 250
+"""Largest size of a Gaussian in a file that was read [bytes]."""
 SIZE = 192
 """Width and height of the pictures of the possible orientations [pixels]."""
 SMALLER = "Reduce the file in a splat editor, for example SuperSplat."

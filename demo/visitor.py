@@ -157,6 +157,8 @@ class Visitor:
         yield from sorted((self.folder / "exports").glob("*/*"), key=change_time)
         pictures = ("uploads", "cutouts")
         stages = [(stage, FEW) for stage in pictures]
-        stages += [(stage, 1) for stage in ("fits", "films", "clips", "gaussians", *pictures)]
+        stages += [
+            (stage, 1) for stage in ("fits", "films", "clips", "gaussians", "objects", *pictures)
+        ]
         for stage, kept in stages:
             yield from reversed(newest_first(self.folder / stage)[kept:])

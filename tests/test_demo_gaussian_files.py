@@ -10,6 +10,7 @@ from PIL import Image
 from demo import source as module
 from demo.catalogue import catalogue
 from demo.jobs import Studio
+from demo.room import Room
 from demo.settings import Settings
 from demo.source import Choice, Cutout, GaussianFile
 from demo.visitors import Visitors
@@ -161,6 +162,13 @@ def test_file_type_follows_content_and_has_limits(studio):
     with pytest.raises(InputError, match="only one object"):
         studio.take("a", sent(studio, of()), (0.5, 0.5))
     assert catalogue(studio.settings)["limits"]["file_endings"] == object_endings()
+
+
+def test_files_that_were_read_fit_into_the_visitors_room(tmp_path):
+    studio = Studio(Settings(gaussians=1000), Visitors(tmp_path, Room(each=600_000)))
+    for _ in range(5):
+        assert Path(read(studio, of()).path).exists()
+        assert studio.visitors.get("a").measure() <= 600_000
 
 
 def test_reading_options_must_suit_the_object(studio):
