@@ -77,6 +77,17 @@ def test_shells_without_a_bottom_are_filled(rng, name, noise):
     assert find_interior(shifted(shell, noise, rng)).volume == pytest.approx(volume, rel=0.1)
 
 
+def test_air_between_separate_walls_is_empty():
+    walls = []
+    for axis in range(3):
+        for side in (-0.5, 0.5):
+            sides, centre = np.full(3, 0.3), np.zeros(3)
+            sides[axis], centre[axis] = 0.02, side
+            walls.append(trimesh.creation.box(sides).apply_translation(centre))
+    mesh = trimesh.util.concatenate(walls)
+    assert find_interior(cover(mesh)).volume == pytest.approx(mesh.volume, rel=0.2)
+
+
 def test_both_sides_of_a_thin_plate_are_covered():
     plate = cover(trimesh.creation.box((1, 0.6, 0.002)))
     up = plate.means[:, 2] > 0

@@ -330,15 +330,17 @@ def _deep_parts(mask: Mask) -> Mask:
 
 
 def _without_vessels(cavity: Mask, grid: _Voxels) -> Mask:
-    """Return a cavity without its connected parts that are inside open vessels."""
+    """Return a cavity without its connected parts that are inside open vessels or touch no surface.
+
+    Walls that are far apart may enclose a part in the free air between them.
+    """
     samples = grid.samples
+    cells = tuple(samples.points.astype(np.int32).T)
     labels, count = scipy.ndimage.label(cavity)  # pyright: ignore
-    around = scipy.ndimage.maximum_filter(labels, 5)
-    label = around[tuple(samples.points.astype(np.int32).T)]
     is_shell = np.zeros(count + 1, bool)
     for part in range(1, count + 1):
-        near = np.unique(samples.owner[label == part])
-        is_shell[part] = not is_vessel(grid.means, samples.normals, near)
+        near = np.unique(samples.owner[_dilate(labels == part, 2)[cells]])
+        is_shell[part] = len(near) > 0 and not is_vessel(grid.means, samples.normals, near)
     parts: Mask = is_shell[labels]
     return parts
 
