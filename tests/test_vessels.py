@@ -77,6 +77,16 @@ def test_shells_without_a_bottom_are_filled(rng, name, noise):
     assert find_interior(shifted(shell, noise, rng)).volume == pytest.approx(volume, rel=0.1)
 
 
+@pytest.mark.parametrize("radius", [0.06, 0.12])
+def test_shell_with_a_sealed_knob_is_filled(radius):
+    box = trimesh.creation.box((1, 1, 1))
+    box.update_faces(box.face_normals[:, 2] > -0.5)
+    knob = trimesh.creation.icosphere(3, radius).apply_translation((0, 0, 0.5 + radius))
+    volume = 1 + 4 / 3 * np.pi * radius**3
+    shell = cover(trimesh.util.concatenate([box, knob]))
+    assert find_interior(shell).volume == pytest.approx(volume, rel=0.05)
+
+
 def test_air_between_separate_walls_is_empty():
     walls = []
     for axis in range(3):

@@ -8,9 +8,10 @@ interior is found in four steps:
   then dilated by increasing radii r (in voxels), and the flood is repeated. Dilation seals gaps of
   width up to 2 r. Larger dilations are used only if they enclose a new cavity; other narrow slots
   stay open. Wide openings are never sealed.
-- If no radius encloses a cavity, the shell is open (a missing back or bottom). A voxel is then
-  inside if axis-parallel rays from the voxel meet the shell in at least five of the six directions.
-  The inside of a vessel whose walls have two sides remains empty (phy124/particles/vessels.py).
+- If no radius encloses a cavity of more than `CAVITY` times the volume of the surface, the shell is
+  open (a missing back or bottom). A voxel is then also inside if axis-parallel rays from the voxel
+  meet the shell in at least five of the six directions. The inside of a vessel whose walls have two
+  sides remains empty (phy124/particles/vessels.py).
 - Only the part of a surface voxel below the local surface belongs to the solid
   (phy124/particles/surface.py).
 
@@ -50,6 +51,10 @@ COARSER = 1.2
 """Factor on the side of a voxel if samples are not connected."""
 SEAL = 0.065
 """Half of the width of the widest sealed gap, relative to the object's longest side."""
+CAVITY = 0.5
+"""Smallest volume of the cavities of a closed shell, relative to the volume of the surface; an open
+shell may have small sealed parts, such as knobs.
+"""
 CONNECTED = 6
 """A surface or cloud is connected if an occupied voxel has on average at least this number of
 occupied neighbours (of 26).
@@ -285,7 +290,8 @@ def _mean_neighbours(occupied: Mask) -> float:
 def _find_inside(grid: _Voxels) -> tuple[Mask, Mask]:
     """Return the masks of the voxels inside the object and outside."""
     occupied, widest = grid.occupied, max(1, int(SEAL * grid.across))
-    region, enclosed = occupied.copy(), False
+    region, least = occupied.copy(), CAVITY * occupied.sum()
+    is_open = True
     for r in sorted({1, 2, 3, widest // 2, widest}):
         if r > widest:
             break
@@ -293,11 +299,11 @@ def _find_inside(grid: _Voxels) -> tuple[Mask, Mask]:
         outside = _flood_outside(~thick)
         sealed = ~_dilate(outside, r)
         cavity = ~(outside | thick)
-        enclosed |= bool(cavity.any())
+        is_open &= bool(cavity.sum() <= least)
         region |= sealed if r == 1 else _dilate(cavity & ~region, r) & sealed
-    if not enclosed:
+    if is_open:
         cavity = _deep_parts(_find_enclosed(occupied) & ~region)
-        if cavity.sum() > 0.5 * occupied.sum():
+        if cavity.sum() > least:
             region |= _without_vessels(cavity, grid)
     return region, ~region
 
