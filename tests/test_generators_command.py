@@ -54,6 +54,14 @@ def test_files_next_to_the_named_file_are_ignored(tmp_path):
     assert len(make(command)(PICTURE, seed=0, progress=lambda *_: None)) == 100
 
 
+def test_materials_next_to_an_extended_name_are_ignored(tmp_path):
+    write_ply(tmp_path / "made.ply", ball(100))
+    beside = "open(out + '.mtl', 'w').write('newmtl m')"
+    copy = f"shutil.copy({str(tmp_path / 'made.ply')!r}, out + '.ply')"
+    command = f"cmd: {program(tmp_path, beside, copy)}"
+    assert len(make(command)(PICTURE, seed=0, progress=lambda *_: None)) == 100
+
+
 @pytest.mark.parametrize(
     ("line", "limit"),
     [

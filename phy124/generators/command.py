@@ -29,6 +29,7 @@ from PIL import Image
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
 from phy124.generators.ply_file import PlyFile, Reading
+from phy124.io.formats import object_endings
 from phy124.progress import Progress, silent
 
 if TYPE_CHECKING:
@@ -90,7 +91,8 @@ class Command:
             endings = [end for word in words for end in re.findall(r"\{out\}([\w.-]*)", word)]
             named = [output_file.with_name(output_file.name + end) for end in endings]
             written = [file for file in named if file.exists()]
-            written = written or sorted(Path(folder).glob(f"{output_file.name}*"))
+            others = sorted(Path(folder).glob(f"{output_file.name}*"))
+            written = written or sorted(others, key=_is_other)
             if not written:
                 raise self._failure(
                     "It finished without an error, but did not write a file to {out}.", USAGE
@@ -136,6 +138,11 @@ class Command:
 
     def _failure(self, limit: str, remedy: str) -> InputError:
         return InputError("generator", self.text, limit, remedy)
+
+
+def _is_other(file: Path) -> bool:
+    """Whether a file is of a kind that contains no object, such as the materials of a mesh."""
+    return file.suffix.lower() not in object_endings()
 
 
 def _fill(word: str, names: dict[str, str]) -> str:
