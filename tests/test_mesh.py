@@ -145,6 +145,84 @@ def test_colours_of_vertices_multiply_a_texture(tmp_path):
     np.testing.assert_allclose(again[2], 0.364, atol=0.01)
 
 
+def write_obj(folder, *, paint="", head="", uv="0.25 0.5"):
+    """Write a tetrahedron with texture coordinates; `paint` is appended to its vertices."""
+    corners = [f"v {point} {paint}" for point in ("0 0 0", "1 0 0", "0 1 0", "0 0 1")]
+    faces = [f"f {a}/1 {b}/1 {c}/1" for a, b, c in ((1, 3, 2), (1, 2, 4), (1, 4, 3), (2, 3, 4))]
+    path = folder / "a.obj"
+    path.write_text("\n".join([head, *corners, f"vt {uv}", *faces, ""]))
+    return path
+
+
+@pytest.mark.parametrize(("paint", "channel"), [("", 0), ("0 1 0", 1)])
+def test_obj_without_a_material_has_its_colours(tmp_path, paint, channel):
+    made = mesh(write_obj(tmp_path, paint=paint), RED)
+    others = np.delete(made.rgb, channel, axis=1)
+    assert made.rgb[:, channel].min() > 0.3 and np.abs(others).max() < 1e-6
+
+
+def write_picture(path):
+    """Write a picture with a red left half and a blue right half."""
+    from PIL import Image
+
+    picture = Image.new("RGB", (2, 2), (0, 0, 255))
+    picture.paste((255, 0, 0), (0, 0, 1, 2))
+    picture.save(path)
+
+
+@pytest.mark.parametrize("name", ["sub\\x.png", "-s 1 1 1 -clamp on sub/x.png"])
+def test_names_of_textures_may_have_options(tmp_path, name):
+    (tmp_path / "sub").mkdir()
+    write_picture(tmp_path / "sub" / "x.png")
+    (tmp_path / "a.mtl").write_text(f"newmtl m\nmap_Kd {name}\n")
+    made = mesh(write_obj(tmp_path, head="mtllib a.mtl\nusemtl m"), (0, 1, 0))
+    assert made.rgb[:, 0].min() > 0.3 and np.abs(made.rgb[:, 1:]).max() < 1e-6
+
+
+def test_missing_textures_are_noted(tmp_path):
+    (tmp_path / "a.mtl").write_text("newmtl m\nKd 1 1 1\nmap_Kd missing.png\n")
+    with pytest.warns(UserWarning, match=r"files that are missing.*missing\.png"):
+        mesh(write_obj(tmp_path, head="mtllib a.mtl\nusemtl m"), RED)
+
+
+def write_glb(path, change):
+    """Write a box with a red and blue texture, whose header `change` modifies."""
+    from PIL import Image
+
+    box = trimesh.creation.box((1, 1, 1))
+    write_picture(path.with_suffix(".png"))
+    material = trimesh.visual.material.PBRMaterial(
+        baseColorTexture=Image.open(path.with_suffix(".png"))
+    )
+    uv = np.full((len(box.vertices), 2), 0.25)
+    box.visual = trimesh.visual.TextureVisuals(uv=uv, material=material)
+    trimesh.Scene(box).export(path, tree_postprocessor=change)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda tree: tree["nodes"][-1].update(skin=0), "has a skeleton, which is ignored"),
+        (lambda tree: tree.update(extensionsRequired=["KHR_texture_basisu"]), "KTX2 pictures"),
+        (lambda tree: tree.update(images=[{"uri": "none.png"}]), "missing.*none.png"),
+    ],
+)
+def test_ignored_parts_of_a_mesh_are_noted(tmp_path, change, words):
+    with pytest.warns(UserWarning, match=words):
+        mesh(write_glb(tmp_path / "a.glb", change), RED)
+
+
+@pytest.mark.parametrize("name", ["KHR_draco_mesh_compression", "EXT_meshopt_compression"])
+def test_compressed_meshes_are_refused(tmp_path, monkeypatch, name):
+    from phy124.generators import mesh_files
+
+    monkeypatch.setattr(mesh_files, "find_spec", lambda _: None)
+    path = write_glb(tmp_path / "a.glb", lambda tree: tree.update(extensionsRequired=[name]))
+    with pytest.raises(InputError, match=r"are compressed .* Export it without compression"):
+        mesh(path, RED)
+
+
 def test_an_open_mesh_is_filled(tmp_path):
     box = trimesh.creation.box((1, 1, 1))
     box.update_faces(box.face_normals[:, 2] < 0.5)

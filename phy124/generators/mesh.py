@@ -9,9 +9,7 @@ from __future__ import annotations
 import re
 import warnings
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from importlib.util import find_spec
-from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -138,14 +136,14 @@ def _cover(path: Path, colour: Sequence[float], count: int, seed: int) -> tuple[
     """Cover a mesh with Gaussians in phy124's axes, with a longest side of 1."""
     _refuse(path)
     kind = _kind(path)
-    drawn, coarse = _read_apart(path, _read, str(path), kind, seed, count)
+    drawn, notes = _read_apart(path, _read, str(path), kind, seed, count)
     points, normals, colours = drawn
     rgb = np.broadcast_to(np.asarray(colour, float), points.shape) if colours is None else colours
     low, high = points.min(axis=0), points.max(axis=0)
     centre, size = (low + high) / 2, float((high - low).max())
     turn = orientation(*UPRIGHT[kind])
     made = cover_surface((points - centre) / size @ turn.T, normals @ turn.T, rgb)
-    return made, _About(UPRIGHT[kind], centre, size, (coarse,) if coarse else ())
+    return made, _About(UPRIGHT[kind], centre, size, tuple(notes))
 
 
 def _read_apart(path: Path, function: Callable[..., Any], *arguments: Any) -> Any:
@@ -218,33 +216,40 @@ def _unusable(path: Path, limit: str, remedy: str) -> InputError:
     return InputError("mesh", path, limit, remedy)
 
 
-def _read(path: str, kind: str, seed: int, count: int) -> tuple[Drawn, str | None]:
+def _read(path: str, kind: str, seed: int, count: int) -> tuple[Drawn, list[str]]:
     """Run in a separate process; the message of a ValueError is "limit; remedy"."""
-    solids, shapes = _load_solids(path, kind)
+    solids, shapes, notes = _load_solids(path, kind)
     drawn = _sample_surface(solids, seed, count, linear=kind in ("glb", "gltf"))
     # The vertices of `shapes` are in the file's coordinates, before the transform of any scene node
     # is applied.
     largest: Any = max(shapes, key=lambda piece: len(getattr(piece, "faces", ())))
-    return drawn, describe_coarseness(largest.vertices, step_of(largest.vertices))
+    coarse = describe_coarseness(largest.vertices, step_of(largest.vertices))
+    return drawn, [*notes, coarse] if coarse else notes
 
 
 def _load_sound_solids(path: str, kind: str) -> list[Trimesh]:
-    solids, _ = _load_solids(path, kind)
+    solids, _, _ = _load_solids(path, kind)
     _join_corners(solids)
     for piece in solids:
         piece.remove_unreferenced_vertices()
     return solids
 
 
-def _load_solids(path: str, kind: str) -> tuple[list[Trimesh], list[Any]]:
-    """Return the meshes that have triangles, and all geometries of the file."""
+def _load_solids(path: str, kind: str) -> tuple[list[Trimesh], list[Any], list[str]]:
+    """Return the meshes that have triangles, all geometries of the file, and notes."""
+    from phy124.generators.mesh_files import Compressed, load  # imports trimesh
+
     try:
-        scene = _load(path, kind)
+        scene, notes = load(path, kind)
         shapes = [scene.geometry[scene.graph[node][1]] for node in scene.graph.nodes_geometry]
         triangles = sum(len(getattr(piece, "faces", ())) for piece in shapes)
         for shape in scene.geometry.values():
             _keep_vertex_colours(shape)
-        pieces = scene.dump() if triangles <= MOST_TRIANGLES else []
+        pieces: list[Any] = scene.dump() if triangles <= MOST_TRIANGLES else []
+    except Compressed as error:
+        raise ValueError(
+            f"its triangles are compressed ({error}).; Export it without compression."
+        ) from None
     except MemoryError:
         raise ValueError(
             "reading it needs more memory than is free.; Give a mesh with fewer triangles."
@@ -259,7 +264,7 @@ def _load_solids(path: str, kind: str) -> tuple[list[Trimesh], list[Any]]:
     if triangles > MOST_TRIANGLES:
         limit = f"it has {triangles:,} triangles, but at most {MOST_TRIANGLES:,} are allowed."
         raise ValueError(f"{limit}; Simplify the mesh in the program that made it.")
-    return [piece for piece in pieces if len(getattr(piece, "faces", ()))], shapes
+    return [piece for piece in pieces if len(getattr(piece, "faces", ()))], shapes, notes
 
 
 def _keep_vertex_colours(shape: Any) -> None:
@@ -277,38 +282,6 @@ def _factor(material: Any) -> NDArray[np.float64]:
     """Return the linear base colour [3] of a glTF material; the default is white."""
     factor = material.baseColorFactor
     return np.ones(3) if factor is None else factor[:3] / 255
-
-
-def _load(path: str, kind: str) -> Any:
-    """If a PLY file fails to load, retry without comments and blank lines."""
-    import trimesh
-    from trimesh.resolvers import FilePathResolver
-
-    try:
-        return trimesh.load_scene(path, file_type=kind, process=False)
-    except ValueError:
-        if kind != "ply":
-            raise
-        files = FilePathResolver(path)
-        scene = trimesh.load_scene(_legible(path), file_type=kind, resolver=files, process=False)
-        if not any(len(getattr(piece, "faces", ())) for piece in scene.geometry.values()):
-            raise
-        return scene
-
-
-def _legible(path: str) -> BytesIO:
-    """Return a PLY file without blank lines and without comments that are not UTF-8."""
-    head, end, body = Path(path).read_bytes().partition(b"end_header")
-    lines = [line for line in head.splitlines() if line.strip() and _is_text(line)]
-    if b"format ascii 1.0" in lines:
-        body = b"\n".join([b"", *(line for line in body.splitlines() if line.strip()), b""])
-    return BytesIO(b"\n".join([*lines, end]) + body)
-
-
-def _is_text(line: bytes) -> bool:
-    with suppress(UnicodeDecodeError):
-        return bool(line.decode("utf-8"))
-    return False
 
 
 def _join_corners(pieces: list[Trimesh]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
