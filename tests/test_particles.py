@@ -264,6 +264,12 @@ def test_faint_floaters_are_no_part_of_the_object(rng):
     assert clean(join([good, *opaque]))[1].stray == 0, "what shows is a part of it"
 
 
+def test_object_of_many_separate_pieces_is_complete(rng):
+    places = np.argwhere(np.ones((11, 11, 11)))
+    pieces = [clump(place, rng, count=10, opacity=0.95) for place in places]
+    assert clean(join(pieces))[1].dropped == 0
+
+
 def test_a_wide_sky_does_not_make_strays_of_the_object(rng):
     """Its Gaussians are as large as the object, and ten thousand times as visible."""
     ways = rng.normal(size=(4000, 3))

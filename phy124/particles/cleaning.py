@@ -12,8 +12,9 @@ All thresholds are relative to the object's size. The rules apply in this order:
   times the median longest axis) are dropped.
 - Stray groups are dropped. A group of Gaussians is stray if it is both separate and small.
   Separate: its distance from the rest is more than about `GAP` times the longest side, and more
-  than the usual distance between neighbours. Small: it contains less than the fraction `STRAY` of
-  all Gaussians or of their `visible_area`.
+  than the usual distance between neighbours. Small: its number of Gaussians, or their
+  `visible_area`, is less than the fraction `STRAY` of that of the largest group. An object may
+  consist of many separate pieces.
 """
 
 from dataclasses import dataclass, field, replace
@@ -255,7 +256,7 @@ def _are_stray(gaussians: Gaussians) -> NDArray[np.bool_]:
     group = groups.ravel()[flat]
     members = np.bincount(group, minlength=count + 1)
     seen = np.bincount(group, visible_area(gaussians), minlength=count + 1)
-    stray = (members < STRAY * len(gaussians)) | (seen < STRAY * seen.sum())
+    stray = (members < STRAY * members.max()) | (seen < STRAY * seen.max())
     return stray[group]
 
 
