@@ -1,13 +1,14 @@
 """Merging: fewer Gaussians with the same mass, middle and colour."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from phy124.commands.convert import Convert, Export
 from phy124.errors import InputError
-from phy124.gaussians import Gaussians
+from phy124.gaussians import Gaussians, as_objects
 from phy124.io.clip import Clip
 from phy124.io.formats import read_gaussians, write_gaussians
 from phy124.particles.merging import group_neighbours, merge_clip_to, merge_groups, merge_to
@@ -90,6 +91,24 @@ def test_in_a_clip_those_are_joined_that_stay_together():
         after = mass(less.frame(frame).gaussians).sum()
         assert after == pytest.approx(mass(clip.frame(frame).gaussians).sum(), rel=1e-4)
     assert merge_clip_to(clip, 400) is clip
+
+
+@pytest.mark.parametrize("count", [2, 100])
+def test_gaussians_of_different_objects_are_not_merged(count):
+    places = {0: ball(200), 7: ball(3).transform(1, np.array([0.1, 0, 0]))}
+    black, white = (
+        replace(item, sh=np.full_like(item.sh, value))
+        for item, value in zip(places.values(), (-1, 1), strict=True)
+    )
+    both = as_objects({0: black, 7: white})
+    less = merge_to(both, count)
+    assert len(less) == count and set(less.object_id) == {0, 7}
+    np.testing.assert_allclose(less.sh[:, 0, 0], np.where(less.object_id == 7, 1, -1))
+    clip = replace(moving(both), object_id=both.object_id)
+    frame = merge_clip_to(clip, count).frame(2).gaussians
+    np.testing.assert_allclose(frame.sh[:, 0, 0], np.where(frame.object_id == 7, 1, -1))
+    with pytest.raises(InputError, match=r"Choose at least 2\."):
+        merge_to(both, 1)
 
 
 def test_commands_merge(tmp_path, capsys):

@@ -24,8 +24,18 @@ SAMPLES = 5
 """Number of frames in which the Gaussians of a clip are compared."""
 
 
-def group_neighbours(places: NDArray, count: int) -> NDArray[np.int64]:
-    """Assign each point [N,D] to one of `count` groups [N] by merging pairs of neighbours."""
+def group_neighbours(
+    places: NDArray, count: int, object_id: NDArray | None = None
+) -> NDArray[np.int64]:
+    """Assign each point [N,D] to one of `count` groups [N] by merging pairs of neighbours.
+
+    Points of different objects (`object_id` [N]) are not merged. `count` must be at least the
+    number of objects.
+    """
+    kind = np.zeros(len(places), np.int64) if object_id is None else object_id
+    # the last column separates the objects by more than their size
+    apart = 1 + 2 * float(np.linalg.norm(np.ptp(places, axis=0)))
+    places = np.column_stack([places, apart * kind])
     label = np.arange(len(places))
     while len(places) > count:
         near, other = scipy.spatial.KDTree(places).query(
@@ -33,9 +43,10 @@ def group_neighbours(places: NDArray, count: int) -> NDArray[np.int64]:
         )
         first, distance = np.repeat(np.arange(len(places)), near.shape[1]), near.ravel()
         second = other.ravel()
-        pairs = np.flatnonzero(first < second)
+        same = kind[first] == kind[second]
+        pairs = np.flatnonzero(same & (first < second))
         if not len(pairs):
-            pairs = np.flatnonzero(first != second)
+            pairs = np.flatnonzero(same & (first != second))
         joined, left = np.arange(len(places)), len(places) - count
         free = np.ones(len(places), bool)
         for pair in pairs[np.argsort(distance[pairs], kind="stable")]:
@@ -50,6 +61,7 @@ def group_neighbours(places: NDArray, count: int) -> NDArray[np.int64]:
         places = np.stack(
             [np.bincount(number, sizes * column) / weights for column in places.T], axis=1
         )
+        kind = kind[np.unique(number, return_index=True)[1]]
         label = number[label]
     return label
 
@@ -59,8 +71,9 @@ def merge_groups(
 ) -> Gaussians:
     """Merge the Gaussians of each of G groups; `group` [N] has the index of each Gaussian's group.
 
-    Mass, mean and colour are kept. With prescribed `opacities` [G], sizes are adapted to preserve
-    the mass. Otherwise the covariance is also kept, unless the opacity would exceed `OPAQUE`.
+    The members of a group belong to the same object. Mass, mean and colour are kept. With
+    prescribed `opacities` [G], sizes are adapted to preserve the mass. Otherwise the covariance is
+    also kept, unless the opacity would exceed `OPAQUE`.
     """
     volume = gaussians.scales.astype(np.float64).prod(axis=1)
     mass = np.maximum(gaussians.opacities * volume, 1e-300)
@@ -82,42 +95,41 @@ def merge_groups(
     scales *= (opacity / np.maximum(shown, 1e-12))[:, None] ** (1 / 3)
     alone = np.bincount(group) == 1
     quats = quaternions(axes).astype(np.float32)
-    result = Gaussians(means, quats, scales, shown, mean(gaussians.sh))
     same = np.zeros(len(total), np.int64)
     same[group] = np.arange(len(group))
+    object_id = None if gaussians.object_id is None else gaussians.object_id[same]
+    result = Gaussians(means, quats, scales, shown, mean(gaussians.sh), object_id)
     for name in ("means", "quats", "scales", "opacities", "sh"):
         getattr(result, name)[alone] = getattr(gaussians, name)[same[alone]]
     return result
 
 
 def merge_to(gaussians: Gaussians, count: int) -> Gaussians:
-    """Merge Gaussians until at most `count` are left.
+    """Merge Gaussians of the same object until at most `count` are left.
 
     Raises:
-        InputError: If `count` is below 1.
+        InputError: If `count` is below the number of objects.
     """
-    check_not_empty(count)
+    check_count(count, gaussians.object_id)
     if len(gaussians) <= count:
         return gaussians
-    return merge_groups(
-        gaussians, group_neighbours(_feature_points([gaussians.means], gaussians.rgb), count)
-    )
+    points = _feature_points([gaussians.means], gaussians.rgb)
+    return merge_groups(gaussians, group_neighbours(points, count, gaussians.object_id))
 
 
 def merge_clip_to(clip: Clip, count: int) -> Clip:
     """Merge the Gaussians of a clip that stay together; only colours of degree 0 are kept.
 
     Raises:
-        InputError: If `count` is below 1.
+        InputError: If `count` is below the number of objects.
     """
-    check_not_empty(count)
+    check_count(count, clip.object_id)
     if clip.means.shape[1] <= count:
         return clip
     chosen = np.unique(np.linspace(0, len(clip) - 1, SAMPLES).astype(int))
     first = clip.frame(0).gaussians
-    group = group_neighbours(
-        _feature_points([clip.means[index] for index in chosen], first.rgb), count
-    )
+    points = _feature_points([clip.means[index] for index in chosen], first.rgb)
+    group = group_neighbours(points, count, clip.object_id)
     opacities = merge_groups(first, group).opacities
     frames = []
     for frame in replace(clip, rotations=None, sh=clip.sh[:, :1]).frames():
@@ -128,14 +140,16 @@ def merge_clip_to(clip: Clip, count: int) -> Clip:
     return replace(Clip.from_frames(frames), scene=clip.scene, report=report)
 
 
-def check_not_empty(count: int) -> None:
-    """Raise an error if no Gaussians would be left.
+def check_count(count: int, object_id: NDArray | None) -> None:
+    """Raise an error if an object would have no Gaussians left; `object_id` is [N] or None.
 
     Raises:
-        InputError: If the number is below 1.
+        InputError: If the number is below the number of objects.
     """
-    if count < 1:
-        raise InputError("merge", count, "no Gaussians would be left.", "Choose at least 1.")
+    objects = 1 if object_id is None else len(np.unique(object_id))
+    if count < objects:
+        limit = "at least one of its objects would have no Gaussians left."
+        raise InputError("merge", count, limit, f"Choose at least {objects}.")
 
 
 def _feature_points(means: list[NDArray], rgb: NDArray) -> NDArray:
