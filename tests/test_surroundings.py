@@ -63,6 +63,14 @@ def test_surroundings_are_noted_with_a_crop(around, words, rng, tmp_path):
     assert not any(words in note for note in opened.notes)
 
 
+def test_the_recommended_crop_can_be_used_far_from_the_origin(rng, tmp_path):
+    place = join([ball(12_000), haze(rng)]).transform(0.4, np.array([3900, 2211, 30]))
+    write_ply(tmp_path / "place.ply", place)
+    crop = re.search(r"--crop=(\S+)", PlyFile(str(tmp_path / "place.ply")).open().notes[-1])[1]
+    opened = PlyFile(str(tmp_path / "place.ply"), Reading(crop=crop)).open()
+    assert 11_500 < len(opened.gaussians) < 12_500
+
+
 def test_the_crop_is_in_the_axes_of_a_file_far_from_its_origin(rng):
     (said,) = surroundings(join([ball(12_000), sky(rng)]), (500_000.0, 0.0, 4.6e6))
     corners = np.array(re.search(r"--crop=(\S+)", said)[1].split(","), float).reshape(2, 3)

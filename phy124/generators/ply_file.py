@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
 from phy124.generators.mesh import is_mesh, read_mesh
-from phy124.generators.surroundings import surroundings
+from phy124.generators.surroundings import format_corners, surroundings
 from phy124.io.axes import orientation, parse_numbers, rotate_gaussians
 from phy124.io.content import Y_DOWN, Content, describe_coarseness, for_run
 from phy124.io.dialect import likely_dialect
@@ -216,8 +216,7 @@ class PlyFile:
 
     def _empty(self, content: Content) -> InputError:
         ends = np.array(robust_bounds(content.gaussians)) + content.origin
-        digits = 10 if any(content.origin) else 3
-        low, high = (",".join(f"{v:.{digits}g}" for v in corner) for corner in ends)
+        low, high = format_corners(ends)
         remedy = f"The file's Gaussians reach from {low} to {high}."
         return InputError("crop", self.reading.crop, "No Gaussian is in this box.", remedy)
 

@@ -4,6 +4,7 @@ With surroundings, the bounding box would be too large, and the object would mov
 surroundings.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -54,10 +55,16 @@ def surroundings(
     around = _sky(means) or _place(means, visible_area(some))
     if around is None:
         return []
-    corners = np.array(around.box) + origin
-    digits = 10 if np.any(origin) else 4
-    box = ",".join(f"{value:.{digits}g}" for value in corners.ravel())
+    box = ",".join(format_corners(np.array(around.box) + origin))
     return [f"{around.words} --crop={box} removes the surroundings."]
+
+
+def format_corners(corners: NDArray[np.float64]) -> tuple[str, str]:
+    """Return the two corners [2,3] of a box as text, rounded to a hundredth of its longest side."""
+    side, largest = np.ptp(corners, axis=0).max(), np.abs(corners).max()
+    digits = max(4, 3 + math.ceil(math.log10(largest / side))) if side > 0 else 4
+    low, high = (",".join(f"{value:.{digits}g}" for value in corner) for corner in corners)
+    return low, high
 
 
 class _Around(NamedTuple):
