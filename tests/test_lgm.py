@@ -129,6 +129,11 @@ def test_opacity_filter_keeps_what_the_original_saves(golden_lgm):
     np.testing.assert_allclose(0.5 + 0.28209479177387814 * kept.sh[:, 0], rows[:, 11:], **CLOSE)
 
 
+def test_views_without_visible_gaussians_are_refused():
+    with pytest.raises(InputError, match="opacity of all Gaussians is below"):
+        to_gaussians(np.full((5, 14), 0.001, np.float32))
+
+
 def test_ply_of_the_original_reads_as_our_gaussians(golden_lgm):
     rows = np.load(golden_lgm / "lgm_post.npz")["ply_input"][0]
     ours = to_gaussians(rows)

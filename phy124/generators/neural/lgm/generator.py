@@ -103,7 +103,8 @@ class Lgm:
         """Make Gaussians of the segmented image [H,W,4], with a longest side of 1 m.
 
         Raises:
-            InputError: If weights are missing, or the image has no alpha or no opaque pixel.
+            InputError: If weights are missing, the image has no alpha or no opaque pixel, or no
+                visible Gaussian is left.
         """
         image = over_white(frame_cutout(np.asarray(image_rgba)))
         self._prepare_multiview()
@@ -120,7 +121,7 @@ class Lgm:
         The longest side is 1 m. The result is rotated to match `image [3,H,W]`, if there is one.
 
         Raises:
-            InputError: If weights are missing.
+            InputError: If weights are missing, or no visible Gaussian is left.
         """
         if self.model is None:
             self.model = load(self._file(), self.option, device=self.device, dtype=self.dtype)
@@ -220,8 +221,15 @@ def network_input(views: Tensor) -> Tensor:
 
 
 def to_gaussians(rows: NDArray) -> Gaussians:
-    """Convert LGM's rows [N,14] to Gaussians, without faint ones."""
+    """Convert LGM's rows [N,14] to Gaussians, without faint ones.
+
+    Raises:
+        InputError: If all Gaussians are faint.
+    """
     rows = rows[rows[:, 3] >= OPACITY_MIN]
+    if not len(rows):
+        limit = f"The opacity of all Gaussians is below {OPACITY_MIN}."
+        raise InputError("generator", "lgm", limit, "Use another image or another seed.")
     return to_world(
         Gaussians.from_rgb(rows[:, 0:3], rows[:, 7:11], rows[:, 4:7], rows[:, 3], rows[:, 11:14])
     )
