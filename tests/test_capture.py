@@ -128,6 +128,19 @@ def test_up_option_excludes_walls(tmp_path, rng):
     assert degrees(result.normal, place.up) < 1
 
 
+def test_up_option_excludes_ceilings(rng):
+    """A ceiling four times as dense as the floor has everything below it."""
+    place = captured(5, floaters=0)
+    ceiling = rng.uniform([-2, -2, 2.5], [2, 2, 2.5], (24_000, 3))
+    ceiling[:, 2] += 0.003 * rng.normal(size=24_000)
+    everything = np.concatenate([place.gaussians.means @ orientation(), place.in_file(ceiling)])
+    floor = find_floor(everything, place.up)
+    assert degrees(floor.normal, place.up) < 1
+    assert floor.holds(everything).mean() < 0.3
+    with pytest.raises(InputError, match="no floor was found"):
+        find_floor(everything[: -len(ceiling)], -place.up)
+
+
 @pytest.mark.parametrize(
     ("points", "words"),
     [
@@ -135,6 +148,7 @@ def test_up_option_excludes_walls(tmp_path, rng):
         (np.random.default_rng(0).uniform(-1, 1, (4000, 3)), "no floor was found: the best plane"),
         (np.zeros((50, 3)), "there are too few Gaussians"),
         (np.zeros((2, 3)), "there are too few Gaussians"),
+        (captured(0, floaters=0).gaussians.means[-6000:], "of the Gaussians are above"),
     ],
 )
 def test_capture_without_a_floor_is_refused(points, words):

@@ -131,9 +131,6 @@ def _on_floor(opened: Opened, *, has_up: bool) -> _Read:
     visible = every.means[every.opacities >= VISIBLE]
     floor = find_floor(visible, np.array([0.0, 0.0, 1.0]) if has_up else None)
     lies = floor.heights(every.means) <= floor.tolerance
-    if lies.all():
-        remedy = "Enlarge --crop, or leave --floor out."
-        raise InputError("floor", "wanted", "nothing stands on the detected floor.", remedy)
     turn = upright(floor.normal)
     standing = rotate_gaussians(every, turn)
     above = standing.select(~lies)

@@ -24,6 +24,10 @@ SIGMAS = 3.0
 """Points belong to the floor up to this distance from the floor, in standard deviations."""
 MIN_FRACTION = 0.1
 """Smallest fraction of all points that must belong to a floor."""
+MIN_ABOVE = 0.005
+"""Smallest fraction of all points that must be above a floor. Of the floor's own points, about
+0.13 % are more than `SIGMAS` above it.
+"""
 NEAR = 0.7071
 """Cosine of the largest angle between the floor's normal and a known up direction."""
 
@@ -53,16 +57,36 @@ class Floor:
 def find_floor(points: NDArray, up: Vectors | None = None) -> Floor:
     """Find the floor of a scene, in any units and orientation, from points [N,3].
 
-    With an approximate direction `up`, steep planes such as walls are rejected. Otherwise, up is
+    With an approximate direction `up`, steep planes such as walls are rejected, and the floor is
+    searched below planes that have more points below than above, such as ceilings. Otherwise, up is
     the side of the plane with more points.
 
     Raises:
-        InputError: No plane contains enough points, or the plane is smaller than the object on top.
+        InputError: No plane contains enough points, nothing is above the plane, or the plane is
+            smaller than the object on top.
     """
     x = np.asarray(points, np.float64)
+    floor = _find_plane(x, up)
+    while up is not None and _is_ceiling(x, floor):
+        x = x[floor.heights(x) < -floor.tolerance]
+        floor = _find_plane(x, up)
+    _check(x, floor, len(points))
+    return floor
+
+
+def _is_ceiling(x: Vectors, plane: Floor) -> bool:
+    heights = plane.heights(x)
+    below, above = (heights < -plane.tolerance).sum(), (heights > plane.tolerance).sum()
+    # Some floaters may be below the floor of a small object.
+    return bool(below > max(above, MIN_FRACTION * len(x)))
+
+
+def _find_plane(x: Vectors, up: Vectors | None) -> Floor:
+    if len(x) < 3:
+        raise _none("there are too few Gaussians.")
     middle = np.median(x, axis=0)
     spread = _spread(x - middle)
-    if len(x) < 3 or not spread > 0:
+    if not spread > 0:
         raise _none("there are too few Gaussians.")
     normals, offsets = _trials((x - middle) / spread, up, np.random.default_rng(0))
     if not len(normals):
@@ -74,11 +98,9 @@ def find_floor(points: NDArray, up: Vectors | None = None) -> Floor:
     rest = np.abs(above) > tolerance
     against = up @ normal < 0 if up is not None else (above[rest] < 0).sum() > rest.sum() / 2
     sign = -1.0 if against else 1.0
-    floor = Floor(
+    return Floor(
         sign * normal, float(sign * (offset * spread + middle @ normal)), float(tolerance * spread)
     )
-    _check(x, floor)
-    return floor
 
 
 def _trials(x: Vectors, up: Vectors | None, rng: np.random.Generator) -> tuple[Vectors, Vectors]:
@@ -117,14 +139,16 @@ def _fit(x: Vectors, normal: Vectors, offset: float) -> tuple[Vectors, float, fl
     return normal, offset, tolerance
 
 
-def _check(x: Vectors, floor: Floor) -> None:
+def _check(x: Vectors, floor: Floor, total: int) -> None:
     heights = floor.heights(x)
     on, above = np.abs(heights) <= floor.tolerance, heights > floor.tolerance
-    if on.mean() < MIN_FRACTION:
-        raise _none(f"the best plane contains only {on.mean():.0%} of the Gaussians.")
+    if on.sum() < MIN_FRACTION * total:
+        raise _none(f"the best plane contains only {on.sum() / total:.0%} of the Gaussians.")
+    if above.sum() < MIN_ABOVE * total:
+        raise _none(f"only {above.sum() / total:.1%} of the Gaussians are above the best plane.")
     flat = x - heights[:, None] * floor.normal
     reach = [_spread(flat[part] - np.median(flat[part], axis=0)) for part in (on, above)]
-    if above.any() and reach[0] <= reach[1]:
+    if reach[0] <= reach[1]:
         raise _none("the best plane is no larger than the object on it.")
 
 
@@ -136,5 +160,6 @@ def _spread(x: Vectors) -> float:
 def _none(limit: str) -> InputError:
     return InputError(
         "floor", "wanted", f"no floor was found: {limit}",
-        "Cut other things away with --crop, give the up direction with --up, or leave --floor out.",
+        "Keep only the object and its floor with --crop, give the up direction with --up, or leave "
+        "--floor out.",
     )  # fmt: skip
