@@ -185,16 +185,18 @@ def test_missing_textures_are_noted(tmp_path):
         mesh(write_obj(tmp_path, head="mtllib a.mtl\nusemtl m"), RED)
 
 
-def write_glb(path, change):
-    """Write a box with a red and blue texture, whose header `change` modifies."""
+def write_glb(path, change=None, uv=(0.25, 0.5), alpha=(255, 255), **options):
+    """Write a box with a texture, red on the left and blue on the right; `change` modifies the
+    header, `alpha` has the opacities of both halves, and `options` are the material's.
+    """
     from PIL import Image
 
     box = trimesh.creation.box((1, 1, 1))
     write_picture(path.with_suffix(".png"))
-    material = trimesh.visual.material.PBRMaterial(
-        baseColorTexture=Image.open(path.with_suffix(".png"))
-    )
-    uv = np.full((len(box.vertices), 2), 0.25)
+    picture = Image.open(path.with_suffix(".png"))
+    picture.putalpha(Image.fromarray(np.tile(np.array(alpha, np.uint8), (2, 1))))
+    material = trimesh.visual.material.PBRMaterial(baseColorTexture=picture, **options)
+    uv = np.broadcast_to(uv, (len(box.vertices), 2))
     box.visual = trimesh.visual.TextureVisuals(uv=uv, material=material)
     trimesh.Scene(box).export(path, tree_postprocessor=change)
     return path
@@ -211,6 +213,18 @@ def write_glb(path, change):
 def test_ignored_parts_of_a_mesh_are_noted(tmp_path, change, words):
     with pytest.warns(UserWarning, match=words):
         mesh(write_glb(tmp_path / "a.glb", change), RED)
+
+
+def test_transparent_parts_of_a_mask_are_left_out(tmp_path):
+    uv = np.array([[x < 0, 0.5] for x in trimesh.creation.box((1, 1, 1)).vertices[:, 0]])
+    made = [
+        mesh(write_glb(tmp_path / "a.glb", None, uv, (255, 60), alphaMode=mode), RED)
+        for mode in ("OPAQUE", "MASK")
+    ]
+    assert made[0].rgb[:, 2].max() > 0.3 and made[1].rgb[:, 2].max() < 1e-6
+    assert len(made[1]) == pytest.approx(len(made[0]) / 2, rel=0.1)
+    with pytest.raises(InputError, match="all of its surface is transparent"):
+        mesh(write_glb(tmp_path / "a.glb", None, alpha=(60, 60), alphaMode="MASK"), RED)
 
 
 @pytest.mark.parametrize("name", ["KHR_draco_mesh_compression", "EXT_meshopt_compression"])

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -56,6 +56,8 @@ SMALLEST = 1e-6
 """Smallest surface area of a mesh, relative to the square of its longest side."""
 FARTHEST = 1e18
 """Largest coordinate of a vertex; float32 numbers can store its square."""
+CUTOFF = 0.5
+"""Smallest visible alpha of a material with the mode MASK that has no `alphaCutoff` (glTF)."""
 Drawn = tuple[NDArray[np.float64], NDArray[np.float64], "NDArray[np.float64] | None"]
 """Points [N,3], outward normals [N,3], and colours [N,3] in 0..1 if the mesh has colours."""
 
@@ -319,6 +321,12 @@ def _sample_surface(pieces: list[Trimesh], seed: int, count: int, linear: bool) 
     away = corners.mean(axis=1) - corners.mean(axis=(0, 1))
     sign = 1.0 if (away * normals).sum() >= 0 else -1.0
     chosen, weights = choose_triangles(corners, count, seed)
+    seen = np.ones(len(chosen), bool)
+    for piece, within, triangles in _split(pieces, chosen):
+        seen[within] = _is_opaque(piece, triangles, weights[within])
+    if not seen.any():
+        raise ValueError("all of its surface is transparent.; Give a mesh with a visible surface.")
+    chosen, weights = chosen[seen], weights[seen]
     points = np.einsum("nc,nci->ni", weights, corners[chosen])
     outward = sign * normals[chosen]
     outward /= np.linalg.norm(outward, axis=1, keepdims=True)
@@ -336,16 +344,52 @@ def _colours(
         weights: Barycentric coordinates of each point [N,3].
         linear: Whether the colours of vertices are linear.
     """
-    ends = np.cumsum([0, *(len(piece.faces) for piece in pieces)])
     rgb, any_colour = np.full((len(chosen), 3), 0.8), False
-    for piece, start, stop in zip(pieces, ends, ends[1:], strict=False):
-        within = (chosen >= start) & (chosen < stop)
-        if not within.any():
-            continue
-        colours = _colour_piece(piece, chosen[within] - start, weights[within], linear)
+    for piece, within, triangles in _split(pieces, chosen):
+        colours = _colour_piece(piece, triangles, weights[within], linear)
         if colours is not None:
             rgb[within], any_colour = colours, True
     return rgb if any_colour else None
+
+
+def _split(
+    pieces: list[Trimesh], chosen: NDArray[np.int64]
+) -> Iterator[tuple[Trimesh, NDArray[np.bool_], NDArray[np.int64]]]:
+    """Yield each mesh, a mask of its points [N], and the triangles of these points.
+
+    The triangles of all meshes are numbered consecutively; `chosen` [N] has those of the points.
+    """
+    ends = np.cumsum([0, *(len(piece.faces) for piece in pieces)])
+    for piece, start, stop in zip(pieces, ends, ends[1:], strict=False):
+        within = (chosen >= start) & (chosen < stop)
+        if within.any():
+            yield piece, within, chosen[within] - start
+
+
+def _is_opaque(piece: Trimesh, triangles: NDArray, weights: NDArray) -> NDArray[np.bool_]:
+    """Whether points [N] are visible, if the material cuts out transparent parts of its texture."""
+    material: Any = getattr(piece.visual, "material", None)
+    alpha = np.ones(len(triangles))
+    if getattr(material, "alphaMode", None) != "MASK":
+        return alpha > 0
+    if material.baseColorFactor is not None:
+        alpha *= material.baseColorFactor[3] / 255
+    texture = _sample_texture(piece, triangles, weights)
+    if texture is not None:
+        alpha *= texture[:, 3] / 255
+    return alpha >= (CUTOFF if material.alphaCutoff is None else material.alphaCutoff)
+
+
+def _sample_texture(
+    piece: Trimesh, triangles: NDArray, weights: NDArray
+) -> NDArray[np.uint8] | None:
+    """Return the texture's colours RGBA [N,4] at points; None if the mesh has no texture."""
+    visual: Any = piece.visual
+    if np.ndim(visual.uv) != 2 or len(visual.uv) != len(piece.vertices):
+        return None
+    uv = np.einsum("nc,nci->ni", weights, visual.uv[piece.faces[triangles]])
+    texture = visual.material.to_color(np.nan_to_num(uv))
+    return texture if np.ndim(texture) == 2 else None
 
 
 def _colour_piece(
@@ -371,11 +415,8 @@ def _colour_piece(
         corners = piece.vertex_attributes[TINT][piece.faces[triangles]]
         light = light * np.einsum("nc,nci->ni", weights, corners)
     tint = material.main_color[:3] / 255 if light is None else to_srgb(light)
-    if visual.uv is None or len(visual.uv) != len(piece.vertices):
-        return tint
-    uv = np.einsum("nc,nci->ni", weights, visual.uv[piece.faces[triangles]])
-    texture = material.to_color(np.nan_to_num(uv)) if np.ndim(uv) == 2 else None
-    if texture is None or np.ndim(texture) == 1:
+    texture = _sample_texture(piece, triangles, weights)
+    if texture is None:
         return tint
     colours = texture[:, :3] / 255
     return colours if light is None else to_srgb(to_linear(colours) * light)
