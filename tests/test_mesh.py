@@ -215,6 +215,40 @@ def test_ignored_parts_of_a_mesh_are_noted(tmp_path, change, words):
         mesh(write_glb(tmp_path / "a.glb", change), RED)
 
 
+def place_texture(**options):
+    """Return a change of a header that sets options of the texture's coordinates."""
+
+    def change(tree):
+        tree["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"].update(options)
+        (attributes,) = (mesh["primitives"][0]["attributes"] for mesh in tree["meshes"])
+        attributes["TEXCOORD_1"] = attributes["TEXCOORD_0"]
+        if "texCoord" in options:  # the first coordinates would be wrong
+            attributes["TEXCOORD_0"] = attributes["POSITION"]
+
+    return change
+
+
+@pytest.mark.parametrize(
+    "transform",
+    [
+        {"offset": [0.5, 0]},
+        {"scale": [3, 1]},
+        {"rotation": -np.pi / 2, "offset": [1.5, 0.5]},
+        {"offset": [0.5, 0], "texCoord": 1},
+    ],
+)
+def test_coordinates_of_textures_are_transformed(tmp_path, transform):
+    options = {"KHR_texture_transform": transform}
+    change = place_texture(extensions=options)
+    made = mesh(write_glb(tmp_path / "a.glb", change, uv=(0.25, 0.25)), RED)
+    assert made.rgb[:, 2].min() > 0.3 and made.rgb[:, 0].max() < 1e-6
+
+
+def test_textures_may_use_the_second_coordinates(tmp_path):
+    made = mesh(write_glb(tmp_path / "a.glb", place_texture(texCoord=1), uv=(0.75, 0.5)), RED)
+    assert made.rgb[:, 2].min() > 0.3 and made.rgb[:, 0].max() < 1e-6
+
+
 def test_transparent_parts_of_a_mask_are_left_out(tmp_path):
     uv = np.array([[x < 0, 0.5] for x in trimesh.creation.box((1, 1, 1)).vertices[:, 0]])
     made = [

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import re
+import struct
+from collections.abc import Sequence
 from contextlib import suppress
 from importlib.util import find_spec
 from io import BytesIO
@@ -11,7 +13,9 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
 
+import numpy as np
 import trimesh
+from numpy.typing import NDArray
 from trimesh.exchange.obj import load_obj
 from trimesh.resolvers import FilePathResolver
 
@@ -46,9 +50,10 @@ def load(path: str, kind: str) -> tuple[trimesh.Scene, list[str]]:
         return _load_obj(path, files), files.notes()
     if kind == "ply":
         return _load_ply(path, files), []
-    notes = _examine(path, kind) if kind in ("glb", "gltf") else []
-    scene = trimesh.load_scene(path, file_type=kind, resolver=files, process=False)
-    return scene, files.notes() + notes
+    if kind in ("glb", "gltf"):
+        scene, notes = _load_gltf(path, kind, files)
+        return scene, files.notes() + notes
+    return trimesh.load_scene(path, file_type=kind, process=False), []
 
 
 class Compressed(Exception):
@@ -114,16 +119,67 @@ def _is_text(line: bytes) -> bool:
     return False
 
 
-def _examine(path: str, kind: str) -> list[str]:
-    """Return sentences about the parts of a glTF file that trimesh ignores."""
+def _load_gltf(path: str, kind: str, files: _Files) -> tuple[trimesh.Scene, list[str]]:
+    """Return the geometries of a glTF file, and sentences about the parts that are ignored."""
     data = Path(path).read_bytes()
+    head, rest = data, b""
     if kind == "glb":
-        size = int.from_bytes(data[JSON_START - 8 : JSON_START - 4], "little")
-        data = data[JSON_START : JSON_START + size]
-    tree = json.loads(data)
+        stop = JSON_START + int.from_bytes(data[JSON_START - 8 : JSON_START - 4], "little")
+        head, rest = data[JSON_START:stop], data[stop:]
+    tree = json.loads(head)
     needed = tree.get("extensionsRequired", ())
     for extension, package in COMPRESSIONS.items():
         if extension in needed and not (package and find_spec(package)):
             raise Compressed(extension)
     posed = any("skin" in node for node in tree.get("nodes", ()))
-    return [POSED] * posed + [KTX] * ("KHR_texture_basisu" in needed)
+    notes = [POSED] * posed + [KTX] * ("KHR_texture_basisu" in needed)
+    placed = _choose_coordinates(tree)
+    if placed:
+        head = json.dumps(tree).encode()
+        head += b" " * (-len(head) % 4)
+        sizes = struct.pack("<III4s", 2, JSON_START + len(head) + len(rest), len(head), b"JSON")
+        data = b"glTF" + sizes + head + rest if kind == "glb" else head
+    scene = trimesh.load_scene(BytesIO(data), file_type=kind, resolver=files, process=False)
+    for shape in scene.geometry.values():
+        visual: Any = getattr(shape, "visual", None)
+        transform = placed.get(getattr(getattr(visual, "material", None), "name", ""))
+        if transform is not None and visual.uv is not None:
+            visual.uv = _transform(visual.uv, **transform)
+    return scene, notes
+
+
+def _choose_coordinates(tree: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """Let trimesh read the texture coordinates that the materials of glTF use.
+
+    trimesh reads only the first coordinates, and no transforms. The materials with other
+    coordinates or a transform are renamed; returns the transforms by the new names.
+    """
+    placed: dict[str, dict[str, Any]] = {}
+    materials = tree.get("materials", [])
+    for index, material in enumerate(materials):
+        texture = material.get("pbrMetallicRoughness", {}).get("baseColorTexture", {})
+        transform = dict(texture.get("extensions", {}).get("KHR_texture_transform", {}))
+        channel = transform.pop("texCoord", texture.get("texCoord", 0))
+        if not (channel or transform):
+            continue
+        material["name"] = f"{material.get('name', '')} {index} of {len(materials)}"
+        placed[material["name"]] = transform
+        for primitive in (item for mesh in tree["meshes"] for item in mesh["primitives"]):
+            attributes = primitive["attributes"]
+            if primitive.get("material") == index and f"TEXCOORD_{channel}" in attributes:
+                attributes["TEXCOORD_0"] = attributes[f"TEXCOORD_{channel}"]
+    return placed
+
+
+def _transform(
+    uv: NDArray[np.float64],
+    offset: Sequence[float] = (0.0, 0.0),
+    rotation: float = 0.0,
+    scale: Sequence[float] = (1.0, 1.0),
+    **_: Any,
+) -> NDArray[np.float64]:
+    """Apply the extension KHR_texture_transform to texture coordinates [N,2]."""
+    flip, shift = np.array([1.0, -1.0]), np.array([0.0, 1.0])  # in trimesh, v points up
+    cos, sin = np.cos(rotation), np.sin(rotation)
+    turned = (shift + flip * uv) * scale @ np.array([[cos, -sin], [sin, cos]]) + offset
+    return shift + flip * turned
