@@ -49,7 +49,7 @@ def load(path: str, kind: str) -> tuple[trimesh.Scene, list[str]]:
     if kind == "obj":
         return _load_obj(path, files), files.notes()
     if kind == "ply":
-        return _load_ply(path, files), []
+        return _load_ply(path, files), files.notes()
     if kind in ("glb", "gltf"):
         scene, notes = _load_gltf(path, kind, files)
         return scene, files.notes() + notes
@@ -90,13 +90,26 @@ def _load_obj(path: str, files: _Files) -> trimesh.Scene:
         details = getattr(getattr(material, "image", None), "info", {})
         if "kd" not in getattr(material, "kwargs", ()) and "file_path" not in details:
             piece["visual"] = None
+        elif piece["visual"].uv is not None:
+            placing = OPTIONS.match(details.get("file_path", ""))
+            piece["visual"].uv = _place(piece["visual"].uv, placing[0] if placing else "")
     return trimesh.load_scene(parts)
+
+
+def _place(uv: NDArray[np.float64], options: str) -> NDArray[np.float64]:
+    """Apply the options -s (scale) and -o (offset) of a texture to coordinates [N,2]."""
+    number = r"\s+([-+.\de]+)"
+    for name, neutral in (("s", 1.0), ("o", 0.0)):
+        stated = re.search(rf"-{name}{number}(?:{number})?", options)
+        values = [float(value or neutral) for value in stated.groups()] if stated else [neutral] * 2
+        uv = uv * values if name == "s" else uv + values
+    return uv
 
 
 def _load_ply(path: str, files: _Files) -> trimesh.Scene:
     """If a PLY file fails to load, retry without comments and blank lines."""
     try:
-        return trimesh.load_scene(path, file_type="ply", process=False)
+        return trimesh.load_scene(path, file_type="ply", resolver=files, process=False)
     except ValueError:
         scene = trimesh.load_scene(_legible(path), file_type="ply", resolver=files, process=False)
         if not any(len(getattr(piece, "faces", ())) for piece in scene.geometry.values()):
