@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from demo.folder import LOCK
 from phy124.io.ply import write_ply
 from support.processes import run_program
 from support.served import ROOT, serving
@@ -49,9 +50,9 @@ def test_folder_of_the_page_needs_no_locks(tmp_path):
     code = """
 from demo.connections import allow_connections
 from demo.fits import video
-from demo.folder import lock_folder
+from demo.folder import LOCK, lock_folder
 with lock_folder() as root:
-    assert (root / "lock").exists()
+    assert (root / LOCK).exists()
 assert not root.exists() and allow_connections() == 256 and video.resource is None
 """
     subprocess.run([sys.executable, write_script(tmp_path, code), "page"], check=True)
@@ -63,5 +64,5 @@ def test_page_starts_and_ends(tmp_path):
     with serving(tmp_path, (sys.executable, script), warm=False) as server:
         with urllib.request.urlopen(f"{server.url}/") as answer:
             assert b"phy124" in answer.read()
-        assert (server.folder / "lock").exists()
+        assert (server.folder / LOCK).exists()
     assert not list(server.folder.glob("visitors/*"))

@@ -28,6 +28,7 @@ if __name__ == "__main__":
 
 from attacker import Attacker
 
+from demo.folder import LOCK
 from demo.room import size_of
 from phy124.scene import Scene
 from support.hostile import bomb, png_claiming
@@ -288,7 +289,7 @@ def main() -> None:
             record = attack(server, asked.seconds, asked.visitors)
             sys.stdout.write("\n".join([*record.lines(), ""]))
             check(server, record, asked.seconds, asked.visitors)
-        assert [path.name for path in server.folder.iterdir()] == ["lock"]
+        assert [path.name for path in server.folder.iterdir()] == [LOCK]
 
 
 if __name__ == "__main__":

@@ -3,6 +3,7 @@
 import pytest
 from hour import SETTINGS, attack, check
 
+from demo.folder import LOCK
 from support.served import serving
 
 
@@ -12,4 +13,4 @@ def test_a_hostile_minute(tmp_path):
     with serving(tmp_path, **SETTINGS) as server:
         record = attack(server, seconds=60.0, visitors=10)
         check(server, record, seconds=60.0, visitors=10)
-    assert [path.name for path in server.folder.iterdir()] == ["lock"]
+    assert [path.name for path in server.folder.iterdir()] == [LOCK]

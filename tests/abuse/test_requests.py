@@ -10,6 +10,8 @@ import anyio
 import pytest
 from attacker import Attacker
 
+from demo.folder import LOCK
+from demo.panels import MARK
 from phy124.scene import Scene
 from support.served import ROOT, TIMEOUT, serving
 
@@ -25,7 +27,7 @@ def server(tmp_path_factory):
         Attacker(running).uploaded(DUCK)
         assert list(running.folder.rglob("*.png"))
     # Ended by SIGTERM; the next start removes what a kill has left (tests/test_demo_folder.py).
-    assert [path.name for path in running.folder.iterdir()] == ["lock"]
+    assert [path.name for path in running.folder.iterdir()] == [LOCK]
 
 
 @pytest.fixture
@@ -54,8 +56,9 @@ def test_no_two_refusals_are_equal(attacker, kind):
     """Gradio tells a panel of no answer that equals the one before: it would wait for ever."""
     panel, event, inputs, data = REFUSED[kind]
     attacker.uploaded(DUCK)
-    first, second = (attacker.press(panel, event, inputs, **data)[0] for _ in range(2))
-    assert first.pop("mark") != second.pop("mark")
+    answers = (attacker.press(panel, event, inputs, **data) for _ in range(2))
+    first, second = (next(value for value in answer if MARK in value) for answer in answers)
+    assert first.pop(MARK) != second.pop(MARK)
     for answer in (first, second):
         answer.pop("elapsed", None)
     assert first == second
@@ -176,7 +179,7 @@ TOOLS_REFUSE: dict[str, tuple[str, dict[str, Any], str]] = {
     "up": ("generate", {**PRESS, "image": "../../log.txt"}, "server does not have this picture"),
     "url": ("generate", {**PRESS, "image": "https://a.example/b.png"}, "downloads nothing"),
     "file url": ("generate", {**PRESS, "side": "file:///etc/passwd"}, "downloads nothing"),
-    "video": ("fit", {"run": "r" * 32, "video": URL}, "This is not a file."),
+    "video": ("fit", {"run": "r" * 32, "video": URL}, "A video cannot be a data: URL."),
     "run": ("evaluate", {"run": "r" * 32}, "There is no run"),
     "traversal": ("render", {"run": "../x"}, "There is no run"),
     "unknown": ("generate", {**PRESS, "secret": 1}, "Additional properties"),
