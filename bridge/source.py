@@ -15,6 +15,7 @@ from phy124.generators.options import GeneratorOptions
 from phy124.generators.ply_file import Reading
 from phy124.imaging.cutting import Cutting
 from phy124.io.clip import Clip
+from phy124.io.flaws import describe_flaws
 from phy124.io.formats import is_file_of_gaussians
 from phy124.io.opening import obstacle
 from phy124.progress import Progress, silent
@@ -180,7 +181,7 @@ class FileWatch:
 def open_clip(path: str | Path) -> Clip:
     """Open a clip; log values that cannot be shown."""
     clip = Clip.load(path)
-    for flaw in clip.flaws():
+    for flaw in describe_flaws(clip):
         log.warning(flaw)
     return clip
 

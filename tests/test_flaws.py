@@ -9,7 +9,7 @@ import pytest
 import phy124
 from phy124.__main__ import main
 from phy124.camera import Camera
-from phy124.io.flaws import hide_flaws
+from phy124.io.flaws import describe_flaws, hide_flaws
 from phy124.io.formats import read_gaussians, written_formats
 from phy124.scene import View
 from support.clips import flight
@@ -68,6 +68,6 @@ def test_a_clip_without_finite_gaussians_is_refused(tmp_path, capsys):
 
 def test_hidden_gaussians_follow_their_neighbours():
     clip, notes = hide_flaws(flawed("means", np.nan, slice(0, 2)))
-    assert "frames 0 to 1" in notes[0] and not clip.flaws() and clip.opacities[BAD] == 0
+    assert "frames 0 to 1" in notes[0] and not describe_flaws(clip) and clip.opacities[BAD] == 0
     np.testing.assert_array_equal(clip.means[:, BAD], clip.means[:, BAD + 1])
     assert hide_flaws(clip)[0] is clip

@@ -13,6 +13,7 @@ from phy124.commands.bars import Bars
 from phy124.commands.options import CameraOptions, Device
 from phy124.io.clip import Clip
 from phy124.io.files import staging, write_whole
+from phy124.io.flaws import describe_flaws
 from phy124.io.video import Picture, refuse_missing_encoder, write_mp4
 from phy124.metrics.comparison import Likeness, Pictures, check_comparable, compare
 from phy124.progress import Progress
@@ -61,7 +62,7 @@ class Compare:
             comparison = compare(a, b, tuple(seen))
             data = {"clips": [str(path) for path in paths], **comparison.data()}
             data["notes"] = [
-                f"{p}: {s}" for p, c in zip(paths, (a, b), strict=True) for s in c.flaws()
+                f"{p}: {s}" for p, c in zip(paths, (a, b), strict=True) for s in describe_flaws(c)
             ]
             text = json.dumps(data, indent=2) + "\n"
             write_whole(folder / "comparison.json", text)

@@ -14,6 +14,7 @@ from phy124.commands.options import Device
 from phy124.errors import InputError
 from phy124.io.clip import Clip
 from phy124.io.files import refuse_replacing, replacing
+from phy124.io.flaws import describe_flaws
 from phy124.metrics import evaluate, similarity
 from phy124.progress import Progress
 from phy124.rendering.film import cameras
@@ -64,7 +65,7 @@ class Evaluate:
             result = evaluate(clip, videos, model=model, missing=missing)
             pictures = {"size": self.size, "elevation": self.elevation}
             data = {"clip": str(self.clip), **result.data(), "pictures": pictures}
-            data["notes"] = clip.flaws()
+            data["notes"] = describe_flaws(clip)
             path.write_text(json.dumps(data, indent=2) + "\n", "utf-8")
         lines = [result.table(), *(f"note: {note}" for note in data["notes"]), str(out)]
         print(json.dumps(data) if self.json else "\n".join(lines))

@@ -15,6 +15,7 @@ from phy124.commands.options import Device, ViewOptions
 from phy124.errors import Cancelled, InputError
 from phy124.io.clip import Clip
 from phy124.io.files import staging
+from phy124.io.flaws import describe_flaws
 from phy124.io.video import refuse_missing_encoder
 from phy124.pipeline.run_folder import refuse_folders
 from phy124.rendering.film import film, film_notes, name_files, refuse_missing_writers
@@ -79,7 +80,11 @@ class Render:
             files = [str(out / path.name) for path in sorted(folder.iterdir())]
             if bars.cancelled and not files:
                 raise Cancelled
-        notes = [*clip.flaws(), *describe_framing(clip, view)["notes"], *film_notes(clip, view)]
+        notes = [
+            *describe_flaws(clip),
+            *describe_framing(clip, view)["notes"],
+            *film_notes(clip, view),
+        ]
         if self.json:
             print(json.dumps({"files": files, "notes": notes}))
         else:

@@ -265,12 +265,6 @@ class Clip:
         arrays = (self.means[index], self.quats[index], self.scales[index], self.sh)
         return finite_rows(self.opacities) & np.all([finite_rows(a) for a in arrays], axis=0)
 
-    def flaws(self) -> list[str]:
-        """Return a sentence for each frame in which Gaussians have NaN or infinite values."""
-        text = "Frame {}: {} of {} Gaussians have NaN or infinite values and are not shown."
-        counts = [np.count_nonzero(~self.finite(index)) for index in range(len(self))]
-        return [text.format(i, n, len(self.opacities)) for i, n in enumerate(counts) if n]
-
     def with_motion(self, motion: Motion) -> Clip:
         """Return a copy whose file stores a motion instead of the arrays in `DESCRIBED`."""
         return replace(self, motion=replace(motion, describes=self._arrays_of_motion()))

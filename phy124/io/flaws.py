@@ -1,4 +1,4 @@
-"""Hides Gaussians with NaN or infinite values, which the formats of other programs cannot hold."""
+"""Finds and hides Gaussians with NaN or infinite values, which other programs cannot read."""
 
 from collections.abc import Iterable
 from dataclasses import replace
@@ -9,6 +9,13 @@ from numpy.typing import NDArray
 from phy124.errors import InputError
 from phy124.io.clip import MOVING, Clip
 from phy124.motion.recorded import Computed
+
+
+def describe_flaws(clip: Clip) -> list[str]:
+    """Return a sentence for each frame in which Gaussians have NaN or infinite values."""
+    text = "Frame {}: {} of {} Gaussians have NaN or infinite values and are not shown."
+    counts = [np.count_nonzero(~clip.finite(index)) for index in range(len(clip))]
+    return [text.format(i, n, len(clip.opacities)) for i, n in enumerate(counts) if n]
 
 
 def hide_flaws(clip: Clip, frames: Iterable[int] | None = None) -> tuple[Clip, list[str]]:
