@@ -329,3 +329,13 @@ def test_stiffness_of_kind_array_is_read_as_properties(tmp_path):
         assert Scene().replaced(old) == scene
     with pytest.raises(InputError, match=r"the scene has properties as well.*column `fraction`"):
         Scene.from_data({**old, "properties": {"file": file}})
+
+
+def test_rows_with_positions_may_have_any_order(tmp_path, rng):
+    means = rng.uniform(-0.5, 0.5, (200, 3)).astype(np.float32)
+    values, order = np.linspace(1e4, 1e6, 200), rng.permutation(200)
+    for rows in (np.arange(200), order):
+        axes = dict(zip("xyz", 3 * means[rows].T, strict=True))
+        path = saved(tmp_path / "p.npz", **axes, E=values[rows])
+        columns = Properties(file=str(path)).columns(means, means, None)
+        assert np.array_equal(columns["E"], values)

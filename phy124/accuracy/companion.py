@@ -25,7 +25,7 @@ from phy124.mpm.workers import MIN_PARTICLES
 from phy124.runtime.context import RunContext
 from phy124.runtime.failures import failure
 from phy124.scene import Scene
-from phy124.simulation import Simulation, prepare
+from phy124.simulation import Simulation, Stopped, prepare
 from phy124.simulation.setup import Setup
 
 AFFORDABLE = 0.2
@@ -278,6 +278,9 @@ def _compare(run: Simulation, clip: Clip, scene: Scene, indices: NDArray[np.int6
         distances = _distances(companion, clip, indices) / run.scene.object.size
     except Cancelled:
         raise
+    except Stopped as stop:
+        why = str(stop).rstrip(".")
+        raise Lost(f"the companion run on D/{cells} stops early: {why}") from stop
     except Exception as error:
         why = failure(error).sentence.rstrip(".")
         raise Lost(f"the companion run on D/{cells} failed: {why}") from error

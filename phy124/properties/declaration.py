@@ -17,6 +17,8 @@ ALIKE = 0.2
 """Largest difference between corresponding sides of the bounding boxes of the points and of the
 object, as a fraction of the longest side.
 """
+SAME = 0.99
+"""Least covariance of corresponding positions, relative to that of equal positions."""
 
 
 class Properties(Section):
@@ -68,9 +70,14 @@ class Properties(Section):
         table = read_table(self.file)
         count = len(means) if survivors is None else len(survivors)
         if len(table) == count and survivors is not None and not survivors.all():
-            values = {name: column[survivors] for name, column in table.columns.items()}
-            return nearest(x, means, values)
-        if len(table) == len(means) and self.sampling == "nearest":
+            if _in_order(table.points, means, survivors):
+                values = {name: column[survivors] for name, column in table.columns.items()}
+                return nearest(x, means, values)
+        elif (
+            len(table) == len(means)
+            and self.sampling == "nearest"
+            and _in_order(table.points, means)
+        ):
             return nearest(x, means, table.columns)
         means = means if is_object is None else means[is_object]
         if table.points is None and len(table) == len(means):
@@ -113,3 +120,21 @@ class Properties(Section):
 
 def _sides(sides: NDArray) -> str:
     return " x ".join(f"{side:.2g}" for side in sides)
+
+
+def _in_order(
+    points: NDArray | None, means: NDArray, kept: NDArray[np.bool_] | slice = slice(None)
+) -> bool:
+    """Return whether each row of a file belongs to the Gaussian with the same index.
+
+    Rows without positions do. Rows with positions do if a rotation, a scale and a displacement move
+    the positions `points[kept]` [N,3] to the centres `means` [N,3], m.
+    """
+    if points is None:
+        return True
+    a, b = (p - p.mean(axis=0) for p in (points[kept].astype(np.float64), means.astype(np.float64)))
+    size = float(np.linalg.norm(a) * np.linalg.norm(b))
+    if not np.isfinite(size):
+        return True
+    # Umeyama 1991: the sum of the singular values is the largest covariance of any rotation.
+    return float(np.linalg.svd(a.T @ b, compute_uv=False).sum()) >= SAME * size
