@@ -12,12 +12,13 @@ from phy124.liquid.mixed import MixedSolver
 from phy124.liquid.solver import LiquidSolver
 from phy124.materials import Fluid, NeoHookean
 from phy124.mpm import Model, State
+from phy124.pipeline.resume import load, save
 from phy124.runtime.context import RunContext
 from phy124.scene import Scene
 from phy124.scene.liquids import refuse_unprojectable
 from phy124.schema.region import Region
 from phy124.simulation import Simulation, prepare
-from support.liquids import DENSITY, TANK, G, block, field, heights, run
+from support.liquids import DENSITY, TANK, G, block, field, heights, pool, run
 
 OIL = 0.8 * DENSITY
 NARROW = Container(inside=Region(lower=(0, 0, 0), upper=(1, 0.25, 1e9)), contact="slip")
@@ -211,3 +212,21 @@ def test_projection_is_declared_for_several_liquids_and_accepts_bound_particles(
     scene = Scene.named("water").replaced({**changes, "binding": "particles"})
     run = Simulation(prepare(ball(400), scene, RunContext(threads=1)))
     assert run.run().report["complete"] and isinstance(run.solver, LiquidSolver)
+
+
+def test_mixed_run_with_a_zone_resumes_from_a_file(tmp_path):
+    zone = {"kind": "zone", "a": (2, 0, 0), "place": {"lower": (-2, -2, -2), "upper": (2, 2, 2)}}
+    scene = pool(material={"law": "sand"}, forces=[{"kind": "gravity"}, zone])
+    first = Simulation(prepare(ball(), scene))
+    first.step()
+    save(first, tmp_path / "run.phy124")
+    ahead = first.step().gaussians.means
+    assert np.array_equal(load(tmp_path / "run.phy124").step().gaussians.means, ahead)
+
+
+@pytest.mark.parametrize(("name", "projects"), [("object", True), ("pool", False)])
+def test_walls_of_a_single_liquid_are_never_dropped(name, projects):
+    data = pool().data()
+    del data["accuracy"]["liquid"]
+    data["boundaries"][0]["object"] = name
+    assert Scene.from_data(data).projects == projects

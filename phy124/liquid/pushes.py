@@ -76,10 +76,10 @@ class Pushes:
         """Return the velocities before forces acted between two steps."""
         return {"v": wp.clone(self._v[0])} if self._between else {}
 
-    def restore(self, snapshot: dict[str, wp.array]) -> None:
-        """Restore the velocities from a snapshot."""
+    def restore(self, snapshot: dict[str, Any]) -> None:
+        """Restore the velocities from a snapshot, whose arrays may be NumPy arrays."""
         if self._between and "v" in snapshot:
-            wp.copy(self._v[0], snapshot["v"])
+            self._v[0].assign(snapshot["v"])
 
     def _copy(self, index: int, run: slice) -> list[Named]:
         s = self._state

@@ -66,7 +66,11 @@ def _obstacles(scene: Any, *, mixes: bool) -> Iterator[tuple[str, object, str]]:
     `mixes` is true if some materials are not liquids.
     """
     yield from _of_objects(scene)
-    for index, wall in enumerate(() if mixes else scene.boundaries):
+    named = zip(scene.names, scene.object_materials, strict=True)
+    liquids = {name for name, materials in named if _is_liquid(materials)}
+    for index, wall in enumerate(scene.boundaries):
+        if mixes and wall.object not in liquids:
+            continue
         if wall.holds:
             yield f"boundaries.{index}", wall.kind, "boundaries that hold material"
         if wall.object is not None:
