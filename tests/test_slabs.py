@@ -68,7 +68,7 @@ def moved(threads: int, time: float = 0.012):
     mass = np.asarray(s.model.mass.numpy())
     external.begin(mass @ s.state.v.numpy())
     s.advance(time)
-    exchanged = external.total(s.clock, np.zeros(3), mass @ s.state.v.numpy())
+    exchanged = external.total(s.clock, np.zeros(3))
     return s.state.x.numpy().copy(), exchanged.impulse, exchanged.work, s.clock.substeps
 
 

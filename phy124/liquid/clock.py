@@ -100,10 +100,6 @@ class LiquidClock(Clock):
 
         `momentum` [3] is in kg m/s; `power` is not used, since a projected liquid has no stress.
         """
-        return self.uniform_work(momentum)
-
-    def uniform_work(self, momentum: NDArray) -> float:
-        """Return the work [J] of the uniform acceleration in the half step after the last kick."""
         return self.last_dt / 2 * float(self.pull @ momentum)
 
     def sweeps(self, kick: float) -> int:

@@ -10,7 +10,7 @@ from phy124.monitor.coupled import (
 )
 from phy124.monitor.crossing import LatticeCrossing
 from phy124.monitor.dissipation import Dissipation
-from phy124.monitor.external_work import ExternalWork, MeanWork
+from phy124.monitor.external_work import ExternalWork
 from phy124.monitor.immersed import ImmersedPairs, ImmersedWork, ImmersedWrenches
 from phy124.monitor.interior import Interior
 from phy124.monitor.lattice import (
@@ -25,6 +25,7 @@ from phy124.monitor.lattice import (
 )
 from phy124.monitor.lattice_dissipation import LatticeDissipation
 from phy124.monitor.liquid import LiquidDissipation
+from phy124.monitor.liquid_work import LiquidWork
 from phy124.monitor.observer import Observer
 from phy124.monitor.pool_dissipation import ImmersedDissipation, MixedDissipation, PoolDissipation
 from phy124.monitor.pool_work import PoolWork
@@ -59,9 +60,9 @@ def _replace(changes: dict[type[Observer], type[Observer]]) -> tuple[type[Observ
     return tuple(changes.get(observer, observer) for observer in OBSERVERS)
 
 
-LIQUID_OBSERVERS = _replace({ExternalWork: MeanWork})
+LIQUID_OBSERVERS = _replace({ExternalWork: LiquidWork})
 """Observers of a liquid with projected pressure, without other bodies."""
-POOL_OBSERVERS = _replace({ExternalWork: MeanWork, LiquidDissipation: PoolDissipation})
+POOL_OBSERVERS = _replace({ExternalWork: LiquidWork, LiquidDissipation: PoolDissipation})
 """Observers of a liquid with projected pressure that contains only freely moving solids."""
 MIXED_OBSERVERS = _replace({ExternalWork: PoolWork, LiquidDissipation: MixedDissipation})
 """Observers of a liquid with projected pressure and particle bodies."""

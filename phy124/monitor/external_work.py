@@ -2,7 +2,8 @@
 
 A constant uniform acceleration `a` contributes the impulse `M a dt` and the work `M a . dx`,
 without a launch. If the acceleration varies in time, a single-thread kernel adds its impulse and
-work at the end of each substep.
+work, computed from the momentum, at the end of each substep. In runs with a projected liquid,
+`phy124.monitor.liquid_work` adds them instead.
 """
 
 from __future__ import annotations
@@ -138,7 +139,7 @@ class ExternalWork(Observer):
         self._base, self._walls_before = (
             wp.zeros(count, dtype=wp.float64, device=model.device) for count in (3, 6)
         )
-        return [Stage(STAGE, self._record_uniform)] if self.by_momentum else []
+        return [Stage(STAGE, self._record_uniform)] if self.by_step else []
 
     def bind(self, solver: AnySolver, observers: Sequence[Observer] = ()) -> None:
         """Connect the observer to the solver; solvers of projected liquids sum the work of
@@ -156,10 +157,8 @@ class ExternalWork(Observer):
             self._device[MEAN] = self._liquid.impulses.total
 
     @property
-    def by_momentum(self) -> bool:
-        """Whether the work of the uniform acceleration is computed from the momentum in every
-        substep.
-        """
+    def by_step(self) -> bool:
+        """Whether the work of the uniform acceleration is summed in every step or substep."""
         return self._summed or self._tracks.acceleration_varies
 
     def open(self, clock: Clock) -> None:
@@ -178,22 +177,19 @@ class ExternalWork(Observer):
 
     def begin(self, momentum: Sums) -> None:
         """Start a frame with the momentum of the object [kg m/s]."""
-        if self.by_momentum:
+        if self.by_step:
             self._momentum = momentum - self._sum()[IMPULSES] - self._from_bodies()
             self._set_base()
 
-    def total(self, clock: Clock, way: Sums, momentum: Sums) -> Exchange:
+    def total(self, clock: Clock, way: Sums) -> Exchange:
         """Return the external impulse and work since the start of the run.
 
-        `way` is the sum of mass times displacement since the start [3], kg m; `momentum` [3] is in
-        kg m/s.
+        `way` is the sum of mass times displacement since the start [3], kg m.
         """
         total = self._sum()
         values: NDArray[Any] = self._tracks.values.numpy()
         a = values[0, :3].astype(np.float64)
-        if self.by_momentum:
-            total[kernels.WORK] += clock.uniform_work(momentum)
-        else:
+        if not self.by_step:
             impulse = self._model.total_mass * a * (clock.time - clock.behind - self._opened)
             work = float(a @ way)
             total = total + np.array([*impulse, work, np.linalg.norm(impulse), abs(work)])

@@ -8,8 +8,7 @@ from typing import Any
 
 from phy124.liquid.energies import energy_kernels
 from phy124.monitor.dissipation import Dissipation, Loss
-from phy124.monitor.external_work import ExternalWork
-from phy124.monitor.observer import Effect, Observer, Subject, find
+from phy124.monitor.observer import Effect, Observer, Subject
 
 
 class LiquidDissipation(Dissipation):
@@ -41,7 +40,7 @@ class LiquidDissipation(Dissipation):
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
         """Connect the observer to the solver, which then sums work."""
-        self._energies, self._external = solver.energies, find(observers, ExternalWork)
+        self._energies = solver.energies
         solver.keep_works()
 
     def open(self) -> None:
@@ -55,8 +54,6 @@ class LiquidDissipation(Dissipation):
         """
         works = self._energies.read()
         lost = rubbed + works.walls - gained
-        if self._external is not None and self._external.by_momentum:
-            lost += works.density
         viscous, friction = 0.0 - works.viscous, 0.0 - works.friction
         return Loss(viscous, friction, lost - viscous - friction)
 

@@ -34,11 +34,6 @@ class PoolDissipation(LiquidDissipation):
 
     kept = ("_energies", "_begun", "_others")
 
-    _omits_shifts = True
-    """Whether the work of a varying acceleration omits the displacements that restore the
-    density.
-    """
-
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
         """Connect the observer to the solver, which then sums work."""
         self._solver, self._external = solver, find(observers, ExternalWork)
@@ -74,8 +69,6 @@ class PoolDissipation(LiquidDissipation):
         """
         works, bodies = self._energies.read(), self._of_bodies(stored)
         lost = rubbed + works.walls + bodies["walls"] - gained
-        if self._external is not None and self._external.by_momentum and self._omits_shifts:
-            lost += works.density
         material, contact = bodies["material"] - works.viscous, bodies["contact"] - works.friction
         return Loss(material, contact, lost - material - contact)
 
@@ -134,7 +127,6 @@ class MixedDissipation(PoolDissipation):
 
     in_gathers = True
     in_substeps = False
-    _omits_shifts = False
 
     def __init__(self) -> None:
         super().__init__()
@@ -197,8 +189,6 @@ class ImmersedDissipation(PoolDissipation):
     """Energy losses by cause of a liquid and of bodies on lattices."""
 
     kept = (*PoolDissipation.kept, "_lattice")
-
-    _omits_shifts = False
 
     @classmethod
     def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:

@@ -345,7 +345,7 @@ class Watchdog(Observer):
     def _check_balance(self, now: Diagnostics) -> Violation | None:
         """Compare energy and momentum with initial values plus external work and impulse."""
         assert self.external is not None
-        outside = self.external.total(self.clock, now.middle - self.first.middle, now.momentum)
+        outside = self.external.total(self.clock, now.middle - self.first.middle)
         outside = outside.plus(self._solver.free.impulses() - self._pushed)
         turnover = max(
             self.balance.turnover,

@@ -113,14 +113,6 @@ class Clock(Kept):
         """
         return -self.last_dt / 2 * power
 
-    def uniform_work(self, momentum: NDArray) -> float:
-        """Return the work of the uniform acceleration since the kick [J]; this work is a part of
-        `lag`.
-
-        `momentum` [3] is the momentum of all particles after the last kick, kg m/s.
-        """
-        return 0.0
-
     def expire(self) -> None:
         """Require a complete measurement before the next substep."""
         self.since_measured, self.strain = self.interval, math.inf

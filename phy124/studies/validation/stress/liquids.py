@@ -156,7 +156,7 @@ class Balance(MeanWork):
     def compare(self) -> None:
         """Compare the current state with the first state."""
         now, first = diagnose(self._solver), self._first
-        exchange = self.total(self._solver.clock, now.middle - first.middle, now.momentum)
+        exchange = self.total(self._solver.clock, now.middle - first.middle)
         lift = 0.5 * G * self._solver.model.total_mass
         gain = now.energy - first.energy - exchange.work
         missing = float(np.linalg.norm(now.momentum - exchange.impulse))
