@@ -107,7 +107,7 @@ def test_a_subscriber_sees_it_move_while_it_is_computed(ply, monkeypatch):
     ):
         assert process.stdout is not None
         process.stdout.readline()
-        deadline = time.monotonic() + 20
+        deadline = time.monotonic() + 60
         while not sink.subscribers():
             assert time.monotonic() < deadline
             time.sleep(0.02)
