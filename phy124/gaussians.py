@@ -255,6 +255,8 @@ class Particles:
     """For each cell of a lattice, the copies of its 27 nodes that the cell uses [C,27]; None: no
     node has copies (phy124/particles/pieces.py).
     """
+    cell: NDArray[np.int64] | None = None
+    """If each particle stands for a cell of a lattice: the index of the cell [P]."""
 
     def __len__(self) -> int:
         return len(self.x)

@@ -149,7 +149,10 @@ class RestLattice:
         np.divide(of_nodes, filled, out=density, where=filled > 0)
         # In a body of needles or thin sheets, no node is as heavy as a node inside a body.
         whole = density * min(dx**3, filled.max() / GIVING)
-        corner = (np.bincount(number.ravel()) == 1) & (of_nodes < CORNER * whole)
+        # Shares of a cell that use the same nodes count as one cell.
+        _, single = np.unique(number if room > 1 else number[:, :1], axis=0, return_index=True)
+        uses = np.bincount(number[single].ravel(), minlength=len(nodes))
+        corner = (uses == 1) & (of_nodes < CORNER * whole)
         tied, ties, of_nodes = tie_light(index, number, of_nodes, LIGHTEST * whole, corner)
         of_nodes, shares = share_mass(index, number, of_nodes, LIGHT * whole, GIVING * whole)
         carried = ties.T @ rows_of_identity(tied, len(index))

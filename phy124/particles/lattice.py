@@ -17,12 +17,13 @@ import scipy
 from numpy.typing import NDArray
 
 from phy124.errors import TooFine
+from phy124.particles.moments import PER_CELL, place_points, sum_groups
 from phy124.particles.pieces import find_copies, find_pieces
 from phy124.particles.seeding import MAX_PARTICLES, Particles
+from phy124.particles.shares import Parts, divide_cells
 from phy124.particles.solid import MEMORY, Solid
 from phy124.particles.voxels import find_normals
 
-PER_CELL = 8
 SMALLEST = 1e-3
 """Smallest filled fraction of a cell with integration points."""
 FULLEST = 0.1
@@ -45,20 +46,16 @@ turned by 45 degrees would bend up to 1.11 times too far. With a fixed limit, ro
 AROUND = np.array([s for s in np.ndindex(3, 3, 3) if s != (1, 1, 1)]) - 1
 APART = 0.5
 """Distance between neighbouring surface points [cells]."""
-ALIGNED = 1e-7
-"""Second moments count as equal if they differ by less than this [cells^2]; the points are then
-aligned with the axes.
-"""
-CORNERS = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
-def lattice_of(solid: Solid, *, density: float, dx: float) -> Particles:
+def lattice_of(solid: Solid, *, density: float, dx: float, parts: Parts | None = None) -> Particles:
     """Return the integration and surface points of a solid whose voxels align with the cells.
 
     Args:
         solid: The body; the side of its voxels is an integer fraction or an integer multiple of dx.
         density: Mass density [kg/m^3].
         dx: Side of a cell [m].
+        parts: The parts of the body; the material of each point is then the index of its part.
 
     Raises:
         TooFine: The solid needs more than `MAX_PARTICLES` points.
@@ -66,15 +63,18 @@ def lattice_of(solid: Solid, *, density: float, dx: float) -> Particles:
     if solid.volume / dx**3 * PER_CELL > MAX_PARTICLES:
         limit = f"the object would need more than {MAX_PARTICLES:,} integration points."
         raise TooFine("accuracy.cells", f"{dx:.3g} m per cell", limit, "Choose fewer cells.")
-    points = _lattice_of(solid, dx)
+    points, subdivided, cell = _lattice_of(solid, dx)
+    if parts is not None:
+        points = divide_cells(points, subdivided, cell, parts, dx)
     return replace(points, density=np.full(len(points), float(density)))
 
 
 @lru_cache(MEMORY)
-def _lattice_of(solid: Solid, dx: float) -> Particles:
+def _lattice_of(solid: Solid, dx: float) -> tuple[Particles, Solid, NDArray[np.int64]]:
+    """Return the points, the solid with voxels no larger than a cell, and each voxel's cell [V]."""
     solid = _subdivide(solid, dx)
     cells = _find_cells(solid, dx)
-    x, volume, copies = _points_of_pieces(solid, dx, cells)
+    x, volume, copies, cell = _points_of_pieces(solid, dx, cells)
     rows, count = _surface_points(solid, dx, cells), len(x)
     points = Particles(
         x=x.astype(np.float32),
@@ -88,7 +88,7 @@ def _lattice_of(solid: Solid, dx: float) -> Particles:
     for array in vars(points).values():
         if array is not None:
             array.flags.writeable = False  # All runs use this array.
-    return points
+    return points, solid, cell
 
 
 def cells_of(points: Particles) -> Particles:
@@ -100,20 +100,14 @@ def cells_of(points: Particles) -> Particles:
         density=points.density[::PER_CELL],
         material=points.material[::PER_CELL],
         gaussian=points.gaussian[::PER_CELL],
+        cell=np.arange(len(centre)),
     )
 
 
 def points_of(cells: Particles, points: Particles) -> Particles:
     """Return the points of some cells, with the materials of the cells."""
-    every = cells_of(points).x
-    rows = np.concatenate([every, cells.x])
-    # Among equal rows, the row of `every` comes first.
-    order = np.lexsort(rows.T)
-    fresh = np.ones(len(rows), bool)
-    fresh[1:] = (rows[order[1:]] != rows[order[:-1]]).any(axis=1)
-    same = np.empty(len(rows), np.int64)
-    same[order] = order[np.flatnonzero(fresh)][np.cumsum(fresh) - 1]
-    cell = same[len(every) :]
+    cell = cells.cell
+    assert cell is not None
     index = (PER_CELL * cell[:, None] + np.arange(PER_CELL)).reshape(-1)
     return Particles(
         x=points.x[index],
@@ -134,7 +128,7 @@ def repeat_for_points(values: NDArray | None) -> NDArray | None:
 
 def integration_points(solid: Solid, dx: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the integration points of all cells [8C,3], m, and their volumes [8C], m^3."""
-    x, volume, _ = _points_of_pieces(solid, dx, _find_cells(solid, dx))
+    x, volume, *_ = _points_of_pieces(solid, dx, _find_cells(solid, dx))
     return x, volume
 
 
@@ -157,34 +151,26 @@ def _find_cells(solid: Solid, dx: float) -> _Cells:
 
 def _points_of_pieces(
     solid: Solid, dx: float, cells: _Cells
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int8] | None]:
-    """Return the integration points of all cells [8C,3], m, their volumes [8C], m^3, and
-    `Particles.copies` [C,27].
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int8] | None, NDArray[np.int64]]:
+    """Return the integration points of all cells [8C,3], m, their volumes [8C], m^3,
+    `Particles.copies` [C,27], and the cell of each voxel, or -1 [V].
 
     A cell occurs once for each of its separate pieces.
     """
     index, fraction, _, shift, spread = solid.voxels
     side = solid.voxel
     middle = (index + solid.first + 0.5 + shift) * side
-    place, part, cell, clear = cells
-    pieces = find_pieces(index, place, cell, part, clear[tuple(index.T)], SLIVER)
+    place, part, number, clear = cells
+    pieces = find_pieces(index, place, number, part, clear[tuple(index.T)], SLIVER)
     piece = pieces.of_voxel
     count = int(piece.max()) + 1
     filled = np.bincount(piece, fraction, count)
-    centre = _sums(piece, fraction[:, None] * middle, count) / filled[:, None]
+    centre = sum_groups(piece, fraction[:, None] * middle, count) / filled[:, None]
     arm = middle - centre[piece]
     second = arm[:, :, None] * arm[:, None, :] + spread * side**2
-    second = _sums(piece, (fraction[:, None, None] * second).reshape(-1, 9), count)
+    second = sum_groups(piece, (fraction[:, None, None] * second).reshape(-1, 9), count)
     second = second.reshape(-1, 3, 3) / filled[:, None, None]
-    # If moments are equal, they define no axes; the points then lie along the axes of the lattice.
-    _, axes = np.linalg.eigh(second + np.diag([0.0, 1.0, 2.0]) * ALIGNED * dx**2)
-    # The signs of the axes are arbitrary; they are chosen so that the points of all full cells have
-    # one order.
-    largest = np.take_along_axis(axes, np.abs(axes).argmax(axis=1)[:, None], axis=1)
-    axes = axes * np.sign(largest)
-    squares = np.einsum("cik,cij,cjk->ck", axes, second, axes)
-    reach = np.sqrt(np.maximum(squares, 0))
-    x = centre[:, None] + np.einsum("qk,ck,cik->cqi", CORNERS, reach, axes)
+    x = place_points(centre, second, dx)
     volume = filled * side**3
     # As in RestLattice, so that node indices agree.
     used = np.floor((x.astype(np.float32).astype(np.float64) / dx).mean(axis=1)).astype(np.int64)
@@ -192,7 +178,9 @@ def _points_of_pieces(
     kept = volume >= min(SMALLEST * dx**3, FULLEST * volume.max())
     volume = volume[kept] * (solid.volume / volume[kept].sum())
     x = x[kept].reshape(-1, 3)
-    return x, np.repeat(volume / PER_CELL, PER_CELL), None if copies is None else copies[kept]
+    copies = None if copies is None else copies[kept]
+    cell = np.where(kept, np.cumsum(kept) - 1, -1)[piece]
+    return x, np.repeat(volume / PER_CELL, PER_CELL), copies, cell
 
 
 def _clear(solid: Solid) -> NDArray[np.bool_]:
@@ -279,14 +267,6 @@ def _subdivide(solid: Solid, dx: float) -> Solid:
     return Solid(solid.first * parts, solid.voxel / parts, fraction)
 
 
-def _sums(which: NDArray, values: NDArray, count: int) -> NDArray[np.float64]:
-    """Return the sums of the rows of `values` [V,K] in each group [count,K]."""
-    total = np.zeros((count, values.shape[1]))
-    for number, column in enumerate(values.T):
-        total[:, number] = np.bincount(which, column, count)
-    return total
-
-
 def _spread_along(rows: NDArray, distance: float) -> NDArray[np.float64]:
     normal = rows[:, 3:]
     helper = np.eye(3)[np.argmin(np.abs(normal), axis=1)]
@@ -319,7 +299,7 @@ def _highest(rows: NDArray, cube: NDArray) -> tuple[NDArray[np.int64], NDArray[n
     """
     _, which = np.unique(cube, return_inverse=True)
     count = which.max(initial=-1) + 1
-    mean = _sums(which, rows, count) / np.bincount(which, minlength=count)[:, None]
+    mean = sum_groups(which, rows, count) / np.bincount(which, minlength=count)[:, None]
     height = ((rows[:, :3] - mean[which, :3]) * mean[which, 3:]).sum(axis=1)
     order = np.lexsort((-height, which))
     return order[np.flatnonzero(np.diff(which[order], prepend=-1))], which

@@ -35,7 +35,7 @@ from phy124.particles.thickness import Proportions, measure_proportions
 from phy124.scene import Scene, SceneObject
 from phy124.scene.objects import ANY, find_pair
 from phy124.simulation.appearance import Appearance, make_appearance
-from phy124.simulation.materials import assign_materials, vary_materials
+from phy124.simulation.materials import assign_materials, parts_of, vary_materials
 from phy124.simulation.overlap import refuse_objects
 from phy124.simulation.placing import mask_object, number_among_all, place, renumber_parts, stack
 
@@ -249,16 +249,17 @@ def _with_particles(placed: Placed, spacing: float) -> Body:
     scene, gaussians, belonging = placed.scene, placed.gaussians, placed.belonging
     alone, points = gaussians.select(belonging), None
     interior = placed.interior or find_interior(alone)
+    canvas = Canvas.of(alone.means, placed.crop, euler(scene.object.turn))
     if all(scene.on_lattices):
         density, solid = scene.material.density, interior.resample(spacing, per_cell=2)
-        points = lattice_of(solid, density=density, dx=2 * spacing)
+        parts = parts_of(scene, gaussians.means, canvas)
+        points = lattice_of(solid, density=density, dx=2 * spacing, parts=parts)
         particles = cells_of(points)
     else:
         particles = make_particles(
             alone, interior, density=scene.material.density, spacing=spacing, binding=scene.binding
         )
     particles = number_among_all(particles, belonging)
-    canvas = Canvas.of(alone.means, placed.crop, euler(scene.object.turn))
     particles, moves = assign_materials(particles, gaussians.means, scene, canvas)
     particles, materials, stiffness = vary_materials(
         particles,

@@ -16,6 +16,7 @@ from phy124.errors import InputError
 from phy124.imaging.painted import Canvas, sample_brightness
 from phy124.materials import AnyMaterial
 from phy124.particles import Particles
+from phy124.particles.shares import Parts
 from phy124.properties import COLUMNS, FRACTION
 from phy124.scene import Part, Scene
 from phy124.schema.refusals import explain, shorten
@@ -27,6 +28,8 @@ def assign(
     parts: Sequence[Part],
     canvas: Canvas,
     means: NDArray | None = None,
+    *,
+    refuse: bool = True,
 ) -> NDArray[np.int32]:
     """Return the material index of each particle [P]: 0 for the scene's material, i for part i.
 
@@ -36,6 +39,7 @@ def assign(
         parts: The scene's parts.
         canvas: The front of the object, over which pictures are painted.
         means: Centres of the Gaussians [N,3], m; needed only for particles without a Gaussian.
+        refuse: Whether a part without particles is refused.
 
     Raises:
         InputError: A mask cannot be read, or a part contains no particle.
@@ -55,7 +59,7 @@ def assign(
             inside &= (
                 sample_brightness(x, part.mask, canvas, field=f"parts.{number - 1}.mask") > 0.5
             )
-        if not inside.any() and not part.surroundings:
+        if refuse and not inside.any() and not part.surroundings:
             remedy = "Choose a larger region, another mask or other Gaussians."
             raise InputError(
                 f"parts.{number - 1}", shorten(part.data()), "it holds no particle.", remedy
@@ -64,13 +68,28 @@ def assign(
     return chosen
 
 
+def parts_of(scene: Scene, means: NDArray, canvas: Canvas) -> Parts | None:
+    """Return the parts among which the cells of a lattice are divided; None: there are no parts.
+
+    Static parts end at whole cells, so that no cell is both static and moving.
+    """
+    if not scene.parts:
+        return None
+
+    def find(x: NDArray) -> NDArray[np.int32]:
+        return assign(x, np.full(len(x), -1), scene.parts, canvas, means, refuse=False)
+
+    return Parts(find, np.array([False, *(part.static for part in scene.parts)]))
+
+
 def assign_materials(
     particles: Particles, means: NDArray, scene: Scene, canvas: Canvas
 ) -> tuple[Particles, NDArray[np.bool_]]:
     """Return the particles with their parts' materials, and the mask of the moving Gaussians [N].
 
     Args:
-        particles: Particles of all Gaussians, including static Gaussians.
+        particles: Particles of all Gaussians, including static Gaussians. Particles that stand for
+            cells have the index of their part as material.
         means: The Gaussians at rest [N,3], m.
         scene: The scene, with its parts.
         canvas: The front of the object, over which pictures are painted.
@@ -84,7 +103,10 @@ def assign_materials(
     every = np.ones(len(means), bool)
     if not scene.parts:
         return particles, every
-    part = assign(particles.x, particles.gaussian, scene.parts, canvas, means)
+    part, listed = particles.material, np.arange(len(scene.parts)) + 1
+    if particles.cell is None or not np.isin(listed, part).all():
+        at_centres = assign(particles.x, particles.gaussian, scene.parts, canvas, means)
+        part = at_centres if particles.cell is None else part
     static = np.array([False, *(section.static for section in scene.parts)])
     moves = every
     if static.any():
@@ -114,6 +136,7 @@ def assign_materials(
         density=density,
         material=material.astype(np.int32),
         gaussian=np.where(gaussian >= 0, (np.cumsum(moves) - 1)[gaussian], -1).astype(np.int32),
+        cell=None if particles.cell is None else particles.cell[kept],
     )
     return moving, moves
 
@@ -218,7 +241,8 @@ def with_properties(
     kind = kind.ravel()[order]
     density = np.array([section.density for section in made])[kind]
     rest = {n: getattr(particles, n)[order] for n in ("x", "volume", "gaussian")}
-    ordered = replace(particles, **rest, density=density, material=kind.astype(np.int32))
+    cell = None if particles.cell is None else particles.cell[order]
+    ordered = replace(particles, **rest, density=density, material=kind.astype(np.int32), cell=cell)
     return ordered, made, order
 
 
