@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from phy124.__main__ import main
-from phy124.accuracy import choose
+from phy124.accuracy import choose, runs
 from phy124.accuracy.choose import Goal, run_for_goal
 from phy124.accuracy.convergence import distances
 from phy124.accuracy.forecast import Forecaster
-from phy124.accuracy.goal import UNIT
+from phy124.accuracy.goal import UNIT, describe_goal
 from phy124.accuracy.promises import promise
 from phy124.errors import InputError, TooFine
 from phy124.monitor.tearing import Tearing
@@ -118,7 +118,7 @@ def test_too_many_particles_return_the_last_level(quick, monkeypatch):
             raise InputError("time.budget", "1 s", "it takes too long.", "Wait.")
         return plain(setup)
 
-    monkeypatch.setattr(choose, "Simulation", refusing)
+    monkeypatch.setattr(runs, "Simulation", refusing)
     reached = run_for_goal(Goal.error("0.2%"), ball(300), quick)
     assert reached.about["cells"] == 12
     assert reached.about["particles_per_axis"] == 2
@@ -163,6 +163,26 @@ def test_a_grid_on_which_the_run_stops_is_not_taken(quick, monkeypatch):
     about = run_for_goal(Goal.error("0.2%"), ball(300), quick).about
     assert about["levels"] == [6, 8, 12] and about["cells"] == 12 and not about["met"]
     assert about["why_not"] == "on D/16 the simulation stops early: frame 3 took too long"
+
+
+@pytest.mark.parametrize(("runs_on", "levels"), [(7, [8, 12, 16]), (13, [16, 24]), (99, [])])
+def test_coarse_grids_on_which_the_run_stops_are_left_out(quick, monkeypatch, runs_on, levels):
+    advance = Simulation._take_frame
+
+    def stop_on_coarse_grids(run):
+        if run.scene.resolution.cells < runs_on and run.count == 3:
+            raise Stopped("frame 3 took too long.")
+        return advance(run)
+
+    monkeypatch.setattr(Simulation, "_take_frame", stop_on_coarse_grids)
+    goal = Goal.error("50%")
+    if len(levels) < 3:
+        with pytest.raises(InputError, match=r"no grid meets this target: on D/\d+ the simul"):
+            run_for_goal(goal, ball(300), quick)
+        return
+    about = run_for_goal(goal, ball(300), quick).about
+    assert (about["met"], about["levels"], about["stopped"]) == (True, levels, [6])
+    assert "; D/6 left out, because the simulation stops early" in describe_goal(about, 1.0)
 
 
 @pytest.mark.parametrize(
@@ -248,8 +268,8 @@ def test_a_time_goal_takes_the_finest_grid_that_fits(monkeypatch, seconds, cells
         def run(self, each, *, record):
             return None
 
-    monkeypatch.setattr(choose, "prepare", set_up)
-    monkeypatch.setattr(choose, "Simulation", Run)
+    monkeypatch.setattr(runs, "prepare", set_up)
+    monkeypatch.setattr(runs, "Simulation", Run)
     reached = run_for_goal(Goal.time(seconds), ball(10), Scene(), forecaster=Oracle())
     assert reached.about["cells"] == cells
     assert reached.about["predicted"] <= seconds
@@ -267,8 +287,8 @@ def test_a_time_goal_avoids_grids_that_are_refused(monkeypatch, limits, cells):
             raise refusal("accuracy.cells", n, "it is refused.", "Choose another grid.")
         return set_up(gaussians, scene, context)
 
-    monkeypatch.setattr(choose, "prepare", prepare)
-    monkeypatch.setattr(choose, "Simulation", lambda setup: SimpleNamespace(scene=setup.scene))
+    monkeypatch.setattr(runs, "prepare", prepare)
+    monkeypatch.setattr(runs, "Simulation", lambda setup: SimpleNamespace(scene=setup.scene))
     assert reach_in(Goal.time(3600)) == cells
     with pytest.raises(InputError, match="it is refused"):
         limits = (200, 300)
@@ -295,8 +315,8 @@ def test_a_run_with_a_goal_is_watched_like_others(quick, goal, tmp_path, monkeyp
 
 
 def test_a_time_too_short_is_refused(monkeypatch):
-    monkeypatch.setattr(choose, "prepare", set_up)
-    monkeypatch.setattr(choose, "Simulation", lambda setup: SimpleNamespace(scene=setup.scene))
+    monkeypatch.setattr(runs, "prepare", set_up)
+    monkeypatch.setattr(runs, "Simulation", lambda setup: SimpleNamespace(scene=setup.scene))
     with pytest.raises(InputError) as refusal:
         run_for_goal(Goal.time(0.5), ball(10), Scene(), forecaster=Oracle())
     # 10 s times 2^-2.5, 1 s that does not depend on the grid, and what is left free.
@@ -322,8 +342,8 @@ def test_advised_time_is_without_compilation(monkeypatch):
         return SimpleNamespace(scene=setup.scene)
 
     context = RunContext()
-    monkeypatch.setattr(choose, "prepare", set_up)
-    monkeypatch.setattr(choose, "Simulation", compile_first)
+    monkeypatch.setattr(runs, "prepare", set_up)
+    monkeypatch.setattr(runs, "Simulation", compile_first)
     with pytest.raises(InputError) as refusal:
         run_for_goal(Goal.time(0.5), ball(10), Scene(), context, forecaster=Oracle())
     assert "--max-seconds 3;" in refusal.value.remedy

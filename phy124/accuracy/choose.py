@@ -2,17 +2,16 @@
 
 For a maximum error, grids are run from coarse to fine; each grid has at most 1.5 times as many
 cells across the object as the grid before. After three grids, the order of convergence and the
-errors are estimated. The next grid is the coarsest that is predicted to meet the goal. If the
-material tears on a grid, the grid is repeated with one more particle per cell and axis.
+errors are estimated. Coarse grids on which the run stops early are left out. The next grid is the
+coarsest that is predicted to meet the goal. If the material tears on a grid, the grid is repeated
+with one more particle per cell and axis.
 
 For a maximum time, the scene is run on the finest grid whose predicted time is within the maximum.
 """
 
 import math
-import time
 from collections.abc import Callable, Collection
-from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from itertools import combinations
 from typing import Any, NamedTuple
@@ -31,6 +30,7 @@ from phy124.accuracy.difference import pixel_distance
 from phy124.accuracy.forecast import Forecast, Forecaster
 from phy124.accuracy.goal import MARGIN, UNIT, Goal, explain_time, format_error
 from phy124.accuracy.probe import min_cells
+from phy124.accuracy.runs import Runs
 from phy124.budget.limits import duration
 from phy124.errors import InputError, TooFine
 from phy124.gaussians import Frame, Gaussians
@@ -39,8 +39,7 @@ from phy124.io.clip import Clip
 from phy124.monitor.tearing import Tearing
 from phy124.runtime.context import RunContext
 from phy124.scene import Scene
-from phy124.simulation import Simulation, prepare
-from phy124.simulation.bodies import Placed
+from phy124.simulation import Simulation
 
 FIRST = (12, 16, 24)
 """Cells across the object on the first grids; an order of convergence needs three grids."""
@@ -58,8 +57,6 @@ START = 16
 """Cells across the object at the start of the search for a maximum time."""
 ATTEMPTS = 2
 """Largest number of further grids if the results on the first grids do not converge."""
-DENSEST = 4.0
-"""Largest number of particles per cell and axis."""
 
 
 @dataclass
@@ -107,7 +104,7 @@ def run_for_goal(
     """
     context = context or RunContext()
     forecaster = forecaster or Forecaster(context)
-    runs = _Runs(gaussians, scene, context, crop, begin, see)
+    runs = Runs(gaussians, scene, context, crop, begin, see)
     if goal.kind == "seconds":
         return _meet_time(goal, runs, forecaster, elapsed, each)
     reached = _meet_error(goal, runs)
@@ -117,92 +114,15 @@ def run_for_goal(
     return reached
 
 
-@dataclass
-class _Runs:
-    gaussians: Gaussians
-    scene: Scene
-    context: RunContext
-    crop: Crop
-    begin: Callable[[Simulation], object] = lambda run: None
-    see: Callable[[Simulation], object] = lambda run: None
-    done: dict[int, tuple[Simulation, Clip]] = field(default_factory=dict)
-    spent: dict[int, float] = field(default_factory=dict)
-    """Duration of the run on each grid [s]."""
-    placed: Placed | None = None
-    """The object in its position; None before the first simulation."""
-    denser: bool = False
-    """Whether further runs use one more particle per cell and axis, because the material tore."""
-
-    def simulation(self, cells: int) -> Simulation:
-        """Return a simulation on the grid with this number of cells, without starting it."""
-        base = self.scene.resolution
-        per_axis = self.scene.particles_per_axis + self.denser
-        accuracy = base.model_copy(update={"cells": cells, "particles_per_axis": per_axis})
-        changed = self.scene.model_copy(update={"accuracy": accuracy})
-        options: dict[str, Any] = {"crop": self.crop, "placed": self.placed}
-        setup = prepare(self.gaussians, changed, self.context, **options)
-        self.placed = setup.placed
-        return Simulation(setup)
-
-    def clip(self, cells: int) -> Clip:
-        """Return the clip on the grid with this number of cells; run the simulation if
-        necessary.
-        """
-        if cells not in self.done:
-            start = time.perf_counter()
-            self._make(cells)
-            if cells in self.torn and not self.denser:
-                self._make_denser(cells)
-            self.spent[cells] = time.perf_counter() - start
-        return self.done[cells][1]
-
-    def _make(self, cells: int) -> None:
-        simulation = self.simulation(cells)
-        self.done[cells] = simulation, self.run(simulation)
-
-    def run(self, simulation: Simulation, each: Callable[[Frame], object] | None = None) -> Clip:
-        """Run a simulation and return its clip."""
-        self.begin(simulation)
-        return simulation.run(each, record=self.see)
-
-    def _make_denser(self, cells: int) -> None:
-        """Repeat a run in which the material tore; use more particles per cell, or give up at the
-        limit.
-        """
-        self.denser = self.scene.particles_per_axis + 1 <= DENSEST
-        if self.denser:
-            with suppress(InputError):
-                self._make(cells)
-
-    @property
-    def stopped(self) -> list[int]:
-        """Grids on which the run stopped before its last frame; estimates ignore such grids."""
-        return sorted(n for n, (_, clip) in self.done.items() if not clip.report["complete"])
-
-    @property
-    def torn(self) -> list[int]:
-        """Grids on which the material may have torn; estimates of the error ignore such grids."""
-        tearing = {level: run.find(Tearing) for level, (run, _) in self.done.items()}
-        return sorted(level for level, search in tearing.items() if search and search.likely)
-
-    @property
-    def whole(self) -> list[int]:
-        """Numbers of cells across the object on the grids on which the run was completed, and the
-        material did not tear.
-        """
-        return sorted(set(self.done) - set(self.torn) - set(self.stopped))
-
-
-def _meet_error(goal: Goal, runs: _Runs) -> Reached:
+def _meet_error(goal: Goal, runs: Runs) -> Reached:
     _run_first_grids(runs)
-    if runs.stopped:
-        raise _unreachable(goal, "on a coarse grid the simulation stops early")
+    _replace_stopped(goal, runs)
     if runs.torn:
         raise _unreachable(goal, _why_torn(runs))
-    result, obstacle = _estimate(goal, runs), ""
+    result, obstacle, first = _estimate(goal, runs), "", len(runs.done)
     while not (obstacle or runs.torn or _choose_run(result, runs, goal)[2]):
         obstacle = _refine(goal, runs, result)
-        if obstacle and len(runs.done) == len(FIRST):
+        if obstacle and len(runs.done) == first:
             raise _unreachable(goal, obstacle)
         result = _estimate(goal, runs)
     cells, best, met = _choose_run(result, runs, goal)
@@ -210,7 +130,7 @@ def _meet_error(goal: Goal, runs: _Runs) -> Reached:
     return Reached(simulation, clip, _report(goal, cells, best, met, result, runs, obstacle))
 
 
-def _run_first_grids(runs: _Runs) -> None:
+def _run_first_grids(runs: Runs) -> None:
     """Run the scene on the grids `FIRST`, or on finer grids if the scene needs them."""
     coarsest = max(FIRST[0], min_cells(runs.scene))
     try:
@@ -225,17 +145,36 @@ def _run_first_grids(runs: _Runs) -> None:
         runs.clip(math.ceil(cells * coarsest / FIRST[0]))
 
 
-def _refine(goal: Goal, runs: _Runs, result: Convergence) -> str:
+def _replace_stopped(goal: Goal, runs: Runs) -> None:
+    """Run finer grids until as many grids as in `FIRST` are complete.
+
+    Raises:
+        InputError: More than the coarsest grids stop early, or a finer grid is refused.
+    """
+    while runs.stopped and not runs.torn and len(runs.whole) < len(FIRST):
+        last = runs.stopped[-1]
+        finer, coarsest = _list_finer(max(runs.done)), min(runs.whole, default=last)
+        if len(runs.stopped) > len(FIRST) or last > coarsest or not finer:
+            stopped, why = runs.done[last][1], f"on D/{last} the simulation stops early"
+            raise _unreachable(goal, f"{why}: {stopped.report['stopped'].rstrip('.')}")
+        try:
+            runs.clip(finer[-1])
+        except InputError as refusal:
+            why = f"coarse grids stop early, and for D/{finer[-1]} {refusal.limit.rstrip('.')}"
+            raise _unreachable(goal, why) from refusal
+
+
+def _refine(goal: Goal, runs: Runs, result: Convergence) -> str:
     """Run the scene on a finer grid and return ""; if no finer grid is possible, return the
     reason.
     """
-    if not result.errors and len(runs.done) >= len(FIRST) + ATTEMPTS:
+    if not result.errors and len(runs.whole) >= len(FIRST) + ATTEMPTS:
         return result.why_not
     finest, (error, order) = max(runs.done), _guess(goal, runs, result)
     if error * (finest / CELLS[-1]) ** order > goal.value:
         return _describe_best(goal, runs, error, order)
     needed = finest * (error / goal.value) ** (1 / order)
-    finer = [n for n in CELLS if finest < n <= STEP * finest]
+    finer = _list_finer(finest)
     cells = next((n for n in finer if n >= needed), finer[-1])
     try:
         runs.clip(cells)
@@ -245,7 +184,12 @@ def _refine(goal: Goal, runs: _Runs, result: Convergence) -> str:
     return f"on D/{cells} the simulation stops early: {why.rstrip('.')}" if why else ""
 
 
-def _guess(goal: Goal, runs: _Runs, result: Convergence) -> tuple[float, float]:
+def _list_finer(finest: int) -> list[int]:
+    """Return the grids that may follow the finest grid so far."""
+    return [n for n in CELLS if finest < n <= STEP * finest]
+
+
+def _guess(goal: Goal, runs: Runs, result: Convergence) -> tuple[float, float]:
     """Guess the error on the finest grid and the order of convergence, ignoring grids on which the
     material may have torn.
     """
@@ -257,7 +201,7 @@ def _guess(goal: Goal, runs: _Runs, result: Convergence) -> tuple[float, float]:
     return guess_errors((1 / coarse, 1 / fine), gap, GUESSED_ORDER)[1], GUESSED_ORDER
 
 
-def _describe_best(goal: Goal, runs: _Runs, error: float, order: float) -> str:
+def _describe_best(goal: Goal, runs: Runs, error: float, order: float) -> str:
     """Describe error and time on the finest possible grid, extrapolated from the last grid."""
     known, finest = max(runs.done), CELLS[-1]
     best = format_error(goal.kind, error * (known / finest) ** order)
@@ -272,7 +216,7 @@ def _report(
     error: float | None,
     met: bool,
     result: Convergence,
-    runs: _Runs,
+    runs: Runs,
     obstacle: str,
 ) -> dict[str, Any]:
     levels = runs.whole
@@ -287,15 +231,16 @@ def _report(
         "order": result.order,
         "error": error,
         "fraction": None if error is None else error / UNIT[goal.kind](runs.scene),
-        "refined": len(runs.done) > len(FIRST),
+        "refined": len(runs.whole) > len(FIRST),
         "met": met,
         "torn": runs.torn,
+        "stopped": [n for n in runs.stopped if n < levels[0]],
         "particles_per_axis": runs.done[cells][0].scene.particles_per_axis,
         "why_not": "" if met else why_not,
     }
 
 
-def _why_torn(runs: _Runs) -> str:
+def _why_torn(runs: Runs) -> str:
     tearing = runs.done[runs.torn[0]][0].find(Tearing)
     why = "" if tearing is None else tearing.briefly
     return (
@@ -304,7 +249,7 @@ def _why_torn(runs: _Runs) -> str:
     )
 
 
-def _choose_run(result: Convergence, runs: _Runs, goal: Goal) -> tuple[int, float | None, bool]:
+def _choose_run(result: Convergence, runs: Runs, goal: Goal) -> tuple[int, float | None, bool]:
     """Return the best grid, its error, and whether the error meets the goal.
 
     The best grid is the coarsest that meets the goal, or else the finest.
@@ -316,7 +261,7 @@ def _choose_run(result: Convergence, runs: _Runs, goal: Goal) -> tuple[int, floa
     return levels[-1], result.error, False
 
 
-def _estimate(goal: Goal, runs: _Runs) -> Convergence:
+def _estimate(goal: Goal, runs: Runs) -> Convergence:
     cells = runs.whole
     apart = np.zeros((len(cells), len(cells)))
     for i, j in combinations(range(len(cells)), 2):
@@ -369,7 +314,7 @@ def in_time(
         InputError: Even the coarsest grid would take longer. The message states the necessary time.
     """
     context = (context or RunContext()).aside()
-    runs = _Runs(gaussians, scene, context, crop)
+    runs = Runs(gaussians, scene, context, crop)
     forecaster = forecaster or Forecaster(context)
     fit = _find_finest(goal, runs, forecaster, elapsed)
     preparing = context.watch.seconds.get("particles", 0.0)
@@ -385,7 +330,7 @@ class _Fit(NamedTuple):
 
 def _meet_time(
     goal: Goal,
-    runs: _Runs,
+    runs: Runs,
     forecaster: Forecaster,
     elapsed: float,
     each: Callable[[Simulation, Frame], object] | None,
@@ -405,7 +350,7 @@ def _meet_time(
     return Reached(simulation, clip, about, forecast)
 
 
-def _find_finest(goal: Goal, runs: _Runs, forecaster: Forecaster, elapsed: float) -> _Fit:
+def _find_finest(goal: Goal, runs: Runs, forecaster: Forecaster, elapsed: float) -> _Fit:
     watch = runs.context.watch
     available, start, compiled = MARGIN * goal.value - elapsed, watch.total, _sum_compilation(runs)
     tried: dict[int, tuple[Simulation, Forecast]] = {}
@@ -456,11 +401,11 @@ def _drop_refused(
     return [n for n in grids if n >= least > cells]
 
 
-def _sum_compilation(runs: _Runs) -> float:
+def _sum_compilation(runs: Runs) -> float:
     return runs.context.watch.seconds.get("compile", 0.0)
 
 
-def _sum_preparation(runs: _Runs) -> float:
+def _sum_preparation(runs: Runs) -> float:
     seconds = runs.context.watch.seconds
     return sum(seconds.get(stage, 0.0) for stage in ("particles", "compile"))
 

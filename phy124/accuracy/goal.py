@@ -96,6 +96,9 @@ def describe_goal(goal: Mapping[str, Any], seconds: float) -> str:
     errors = dict(zip(goal["levels"], goal["errors"], strict=False))
     tried = [f"D/{n} {format_error(goal['unit'], error)}" for n, error in errors.items()]
     tried = f"; estimated errors: {', '.join(tried)}" if tried else ""
+    left_out = " and ".join(f"D/{n}" for n in goal.get("stopped", ()))
+    if left_out:
+        tried += f"; {left_out} left out, because the simulation stops early on so coarse a grid"
     how = "meets it" if goal["met"] else f"is used, which does NOT meet it: {goal['why_not']}"
     return f"asked for an error of at most {target}: {grid} {how.rstrip(': ')}{tried}"
 

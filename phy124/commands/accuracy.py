@@ -146,7 +146,7 @@ class ShowAccuracy:
         return levels
 
     def _advice(self, levels: tuple[int, ...], report: Report, per_axis: float) -> str:
-        from phy124.accuracy.choose import DENSEST
+        from phy124.accuracy.runs import DENSEST
         from phy124.studies.validation.accuracy.report import COARSEST
 
         run = [row.cells for row in report.rows if row.level and not row.torn]

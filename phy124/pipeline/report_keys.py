@@ -164,6 +164,8 @@ class Goal(TypedDict):
     """Reason why the target is not met; empty if the target is met."""
     torn: list[int]
     """Cells across the object for grids that were ignored because the material may have torn."""
+    stopped: list[int]
+    """Cells across the object for coarse grids that were ignored because the run stopped early."""
     particles_per_axis: float
     """Number of particles per cell and axis."""
 
