@@ -218,7 +218,8 @@ def test_mixed_run_with_a_zone_resumes_from_a_file(tmp_path):
     zone = {"kind": "zone", "a": (2, 0, 0), "place": {"lower": (-2, -2, -2), "upper": (2, 2, 2)}}
     scene = pool(material={"law": "sand"}, forces=[{"kind": "gravity"}, zone])
     first = Simulation(prepare(ball(), scene))
-    first.step()
+    for _ in range(2):  # the first frame takes no step
+        first.step()
     save(first, tmp_path / "run.phy124")
     ahead = first.step().gaussians.means
     assert np.array_equal(load(tmp_path / "run.phy124").step().gaussians.means, ahead)
