@@ -79,6 +79,7 @@ class Learned:
                 costs.pop("particle", None)
             if work.pixels < MINIMUM * self._first.pixels:
                 costs.pop("pixel", None)
+                costs.pop("shine", None)
             for name, value in costs.items():
                 usual = vars(self.measured)[name]
                 value = min(max(value, usual / SPREAD), usual * SPREAD)
@@ -95,10 +96,11 @@ class Learned:
 def _observe(report: dict[str, Any], scene: Scene) -> tuple[Work, dict[str, float]]:
     spent = {stage["name"]: stage["seconds"] for stage in report["stages"]}
     spent["film"] = spent.get("render", 0.0) + spent.get("encode", 0.0)
-    for name in ("generate", "simulate", "deform"):
+    for name in ("generate", "simulate", "deform", "shine"):
         spent.setdefault(name, 0.0)
     spent["generate"] /= 1 + len(report.get("sources", {}))
-    work = Work.from_counts(scene, report["substeps"], report["particles"], report["frames"])
+    names = "substeps", "particles", "frames", "gaussians"
+    work = Work.from_counts(scene, *(report[name] for name in names))
     return work, spent
 
 
@@ -114,6 +116,7 @@ def _variable(rates: Rates, work: Work, spent: dict[str, float]) -> dict[str, fl
         "particle": _per(spent["simulate"] - fixed["particle"], work.particles),
         "frame": _per(spent["deform"], work.frames),
         "pixel": _per(spent["film"] - fixed["pixel"], work.pixels),
+        "shine": _per(spent["shine"], work.redrawn),
     }
     return {name: value for name, value in costs.items() if value}
 

@@ -4,7 +4,8 @@ import pytest
 import warp as wp
 from warp._src.context import Module
 
-from phy124.accuracy.probe import probe, seconds_to_compile, time_film
+from phy124.accuracy.filming import time_film
+from phy124.accuracy.probe import probe, seconds_to_compile
 from phy124.runtime.compiling import is_compiled
 from phy124.runtime.context import RunContext
 from phy124.runtime.kernel_cache import compiled_file
@@ -129,6 +130,21 @@ def test_forecast_without_videos_has_no_encoding(view, stages):
     scene = Scene.named("drop").replaced({**QUICK, "view": {"size": 32, **view}})
     predicted = time_film(prepare(ball(200), scene), RunContext())
     assert set(predicted) == {"save", "render", *stages}
+
+
+def test_forecast_has_the_pictures_of_a_seamless_video(monkeypatch):
+    """Videos run forwards and backwards; a picture is assumed to take a second."""
+    monkeypatch.setattr(
+        "phy124.accuracy.filming.film",
+        lambda clip, view, folder, context: context.watch.seconds.update(
+            render=len(clip), encode=0.5 + len(clip)
+        ),
+    )
+    view = {"size": 32, "views": ["front", "orbit"], "seamless": True}
+    scene = Scene.named("drop").replaced({**QUICK, "time.frames": 10, "view": view})
+    predicted = time_film(prepare(ball(200), scene), RunContext())
+    assert predicted["render"] == 2 * 18
+    assert predicted["encode"] == 2 * (0.5 + 18)
 
 
 @pytest.mark.parametrize(("name", "shines"), [("water", True), ("metal", True), ("jelly", False)])

@@ -180,6 +180,7 @@ def test_each_picture_is_forecast_and_learned_from():
     report = {
         "stages": [{"name": "generate", "seconds": 6.0}],
         "substeps": 100,
+        "gaussians": 0,
         "particles": 10_000,
         "frames": 2,
     }

@@ -4,7 +4,7 @@ import pytest
 
 from demo.forecast import Estimator
 from demo.rates import SPREAD, Learned
-from phy124.budget.cost import GAUSSIANS, Work, count_particles
+from phy124.budget.cost import GAUSSIANS, Work, count_gaussians, count_particles
 from phy124.scene import Scene
 
 FEW = {"view.size": 16, "view.views": ["front"], "time.frames": 2}
@@ -20,6 +20,7 @@ def _report(scene: Scene, **spent: float) -> dict:
         "substeps": work.substeps,
         "frames": work.frames,
         "particles": count_particles(scene, GAUSSIANS),
+        "gaussians": count_gaussians(scene, GAUSSIANS),
     }
 
 
@@ -71,6 +72,18 @@ def test_a_machine_that_became_slower_is_believed(learned):
     for _ in range(4):
         learned.learn(twice, USUAL)
     assert sum(learned.now.seconds(Work.of(USUAL)).values()) == pytest.approx(5.6, rel=0.15)
+
+
+def test_the_cost_of_highlights_is_known_and_corrected(learned):
+    scene = Scene.named("metal").replaced({"accuracy": "draft"})
+    plain = scene.replaced({"view.shine": False})
+    costs = [learned.now.seconds(Work.of(each))["film"] for each in (scene, plain)]
+    views, frames = len(scene.view.sides), scene.time.frames
+    drawn = count_gaussians(scene) * frames * (1 + views)
+    assert costs[0] - costs[1] == pytest.approx(learned.now.shine * drawn)
+    for _ in range(4):
+        learned.learn(_report(scene, shine=2 * learned.measured.shine * drawn), scene)
+    assert learned.now.shine == pytest.approx(2 * learned.measured.shine)
 
 
 def test_nothing_is_refused_because_of_what_was_learned(learned):

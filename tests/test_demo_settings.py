@@ -344,6 +344,7 @@ def test_rates_are_measured_less_what_others_took(monkeypatch):
         "stages": [{"name": "simulate", "seconds": 4.0}],
         "substeps": 100,
         "frames": 2,
+        "gaussians": 0,
         "particles": 1000,
     }
     scene, result = Scene.named("press"), []

@@ -15,6 +15,7 @@ from typing import Any, get_args
 import numpy as np
 
 from phy124.accuracy import companion
+from phy124.accuracy.filming import time_film
 from phy124.accuracy.load import QUIET, Load, LoadMeter, format_span
 from phy124.accuracy.probe import (
     Pilot,
@@ -23,7 +24,6 @@ from phy124.accuracy.probe import (
     probe,
     run_pilot,
     substeps_at_rest,
-    time_film,
     time_shapes,
 )
 from phy124.accuracy.promises import Promise, promise
@@ -335,7 +335,7 @@ def _look(setup: Setup) -> tuple[Any, ...]:
     """Return the materials that have highlights, shadows or surfaces of their own, and the side of
     a cell [m], which determines these surfaces. The result is empty without such materials.
     """
-    drawn = [m for m in setup.materials if m.shines or m.lit or m.dents or m.crumbles]
+    drawn = [m for m in setup.materials if m.redrawn]
     materials = tuple(section.model_dump_json() for section in drawn)
     return (setup.scene.dx, *materials) if drawn else ()
 

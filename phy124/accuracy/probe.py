@@ -1,14 +1,11 @@
-"""Measures times for a forecast: substeps, shapes, videos, and compilation."""
+"""Measures times for a forecast: substeps, shapes, and compilation."""
 
 from __future__ import annotations
 
 import math
-import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeGuard
 
 import numpy as np
@@ -20,28 +17,23 @@ from phy124.boundaries.base import THINNEST
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
 from phy124.imaging.painted import WHOLE, Crop
-from phy124.io.clip import Clip
 from phy124.kernels.arguments import types
 from phy124.monitor.softening import Softening
 from phy124.monitor.watchdog import Watchdog
 from phy124.motion.deform import Deformer
 from phy124.mpm import Solver, Unstable
 from phy124.mpm.workers import HOST
-from phy124.rendering.film import cameras, film
-from phy124.rendering.shine import make_shine
 from phy124.runtime.compiling import is_compiled
 from phy124.runtime.context import RunContext
 from phy124.runtime.cores import cores
-from phy124.scene import Scene, View
+from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
-from phy124.simulation.report import report_clip
 from phy124.simulation.solver import kernels
 
 if TYPE_CHECKING:
     from phy124.lattice.solver import LatticeSolver
     from phy124.liquid import AnySolver
     from phy124.simulation.bodies import Placed
-    from phy124.simulation.setup import Setup
 
 PROBE = 20
 """Largest number of substeps in a trial run."""
@@ -57,8 +49,6 @@ GRAPH_PROBE = (20, 120)
 A fixed cost of each frame would dominate a single run; the difference of two runs does not contain
 this cost.
 """
-FILMED = 2, 6
-"""Numbers of frames of two test videos, which separate the costs per video and per frame."""
 TRIES = 2
 """Number of repeated measurements; the shortest time counts."""
 SHORT_STEP = 1e-3
@@ -216,53 +206,6 @@ def time_shapes(simulation: Simulation) -> tuple[float, float]:
     return once, measure_time(lambda: deform(x, F, index=1, time=0.0, velocities=v))
 
 
-def time_film(setup: Setup, context: RunContext) -> dict[str, float]:
-    """Predict the times of rendering, encoding and saving [s] from a few frames in one view."""
-    scene = setup.scene
-    front = scene.view.model_copy(update={"views": ("front",)}).only("front")
-    views, frames = len(scene.view.sides), scene.time.frames
-    few, more = FILMED
-    seconds: dict[int, list[dict[str, float]]] = {few: [], more: []}
-    # The first video takes longer, because it also loads the kernels.
-    for count in (few, *TRIES * FILMED):
-        probe_context = context.aside()
-        with tempfile.TemporaryDirectory() as folder:
-            clip = _make_moving_clip(setup, count)
-            film(clip, front, folder, probe_context)
-        seconds[count].append(probe_context.watch.seconds)
-    with tempfile.TemporaryDirectory() as folder:
-        clip = _make_moving_clip(setup, more)
-        saving = measure_time(lambda: clip.save(Path(folder) / "clip.safetensors")) * frames / more
-    shortest = {n: min(seconds[n], key=lambda s: sum(s.values())) for n in FILMED}
-    predicted = {"save": saving, "render": views * frames * shortest[more]["render"] / more}
-    if "shine" in shortest[more]:
-        common = _fraction_of_surfaces(clip, front)
-        often = common + views * (1 - common)
-        predicted["shine"] = often * frames * shortest[more]["shine"] / more
-    if "encode" in shortest[more]:
-        each = max(shortest[more]["encode"] - shortest[few]["encode"], 0.0) / (more - few)
-        first = max(shortest[few]["encode"] - each * few, 0.0)
-        predicted["encode"] = views * (first + each * frames)
-    if "outputs" in shortest[more]:
-        predicted["outputs"] = views * frames * shortest[more]["outputs"] / more
-    if "export" in shortest[more]:
-        predicted["export"] = frames * shortest[more]["export"] / more
-    return predicted
-
-
-def _fraction_of_surfaces(clip: Clip, view: View) -> float:
-    """Return the fraction of the time of highlights and reflections that all views share, because
-    the surfaces of the materials do not depend on the view.
-    """
-    shine = make_shine(clip, view)
-    if shine is None:
-        return 0.0
-    frame = clip.frame(0, velocities=shine.needs_velocities)
-    light = partial(shine.illuminate, frame, cameras(clip, view, view.sides[0])[0])
-    both, lighting = measure_time(light), measure_time(light)
-    return max(1 - lighting / both, 0.0)
-
-
 def seconds_to_compile(scene: Scene, device: str = "cpu") -> float:
     """Predict the time to compile a scene's missing kernels on all cores [s]; 0 on a GPU.
 
@@ -273,23 +216,6 @@ def seconds_to_compile(scene: Scene, device: str = "cpu") -> float:
     needed = {kernel.module.name: kernel for kernel in kernels(scene)}
     seconds = [kernel.seconds for kernel in needed.values() if not is_compiled(kernel)]
     return max(sum(seconds) / cores(), max(seconds, default=0.0))
-
-
-def _make_moving_clip(setup: Setup, count: int) -> Clip:
-    """Return a clip in which the object moves by 1 % of its size per frame, as is typical."""
-    gaussians, scene, n = setup.shown, setup.scene, len(setup.shown)
-    shift = np.arange(count, dtype=np.float32)[:, None, None] * np.float32(scene.object.size / 100)
-    clip = Clip(
-        np.asarray(gaussians.means)[None] + (shift * np.array([0, 1, 0])).astype(np.float32),
-        np.broadcast_to(gaussians.quats, (count, n, 4)),
-        np.broadcast_to(gaussians.scales, (count, n, 3)),
-        gaussians.opacities,
-        gaussians.sh,
-        np.arange(count) / scene.time.fps,
-        scene=scene.data(),
-        contacts=np.zeros((count, n, 3), np.float32) if scene.keeps_contacts else None,
-    )
-    return clip.with_report({**report_clip(setup, clip), "grid": {"dx": scene.dx}})
 
 
 CELLS = 16

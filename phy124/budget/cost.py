@@ -89,6 +89,8 @@ class Rates:
     """Seconds per video, in addition to the pixels."""
     pixel: float = 1.2e-7
     """Seconds to render and encode one pixel."""
+    shine: float = 1e-7
+    """Seconds per Gaussian with a surface or highlights of its own, and per picture."""
     rest: float = 1.5
     """Seconds for all other work of a run."""
 
@@ -100,7 +102,7 @@ class Rates:
             + self.particle * work.particles
             + self.node * work.nodes,
             "deform": self.frame * work.frames,
-            "film": self.video * work.videos + self.pixel * work.pixels,
+            "film": self.video * work.videos + self.pixel * work.pixels + self.shine * work.redrawn,
         }
 
     def minimum(self, other: Rates) -> Rates:
@@ -125,12 +127,16 @@ class Work:
     videos: int
     pixels: float
     """Pixels in all frames of all videos and outputs."""
+    redrawn: float
+    """Gaussians of materials such as metal and liquids, whose surfaces are computed once for each
+    frame, and whose highlights are computed once for each picture.
+    """
 
     @classmethod
     def of(cls, scene: Scene, gaussians: int = GAUSSIANS) -> Work:
-        """Estimate the work of a scene for a number of Gaussians."""
-        particles = count_particles(scene, gaussians)
-        return cls.from_counts(scene, count_substeps(scene), particles, scene.time.frames)
+        """Estimate the work of a scene for a number of Gaussians of each object."""
+        counts = count_substeps(scene), count_particles(scene, gaussians), scene.time.frames
+        return cls.from_counts(scene, *counts, count_gaussians(scene, gaussians))
 
     @classmethod
     def from_counts(
@@ -139,6 +145,7 @@ class Work:
         substeps: float,
         particles: float,
         frames: int,
+        gaussians: float = 0.0,
         *,
         nodes: float | None = None,
     ) -> Work:
@@ -149,12 +156,17 @@ class Work:
             substeps: Total number of substeps.
             particles: Number of particles.
             frames: Number of frames.
+            gaussians: Number of Gaussians in the videos.
             nodes: Number of grid nodes; None: as for an object that fills its bounding cube.
         """
         slower = DOUBLE if scene.precision == "float64" else 1.0
         slower *= 1 + PASS * scene.resolution.passes
         slower *= STEP if scene.projects and not scene.mixes else 1.0
-        views, nodes = len(scene.view.sides), count_nodes(scene) if nodes is None else nodes
+        view, nodes = scene.view, count_nodes(scene) if nodes is None else nodes
+        views, pictures = len(view.sides), view.count_pictures(frames)
+        drawn = pictures + frames * len(view.outputs)
+        redrawn = [any(m.redrawn for m in materials) for materials in scene.object_materials]
+        share = view.shine * sum(redrawn) / len(redrawn)
         launches = 0.0
         if _only_lattices(scene):
             slower *= VECTOR if _has_vectors(scene) else PLAIN
@@ -165,7 +177,8 @@ class Work:
             nodes=slower * nodes * substeps,
             frames=frames,
             videos=views,
-            pixels=frames * views * math.prod(scene.view.size) * (1 + len(scene.view.outputs)),
+            pixels=drawn * views * math.prod(view.size),
+            redrawn=share * gaussians * (frames + views * pictures),
         )
 
 
@@ -183,6 +196,16 @@ def count_particles(scene: Scene, gaussians: int = GAUSSIANS) -> int:
     fillings = [FILLED * (body.size / scene.spacing) ** 3 for body in scene.every_object]
     bound = gaussians if scene.binding == "particles" else 0
     return round(sum(filling + bound for filling in fillings))
+
+
+def count_gaussians(scene: Scene, gaussians: int = GAUSSIANS) -> int:
+    """Estimate the number of Gaussians in the videos, including the grains of the interior."""
+    objects = zip(scene.every_object, scene.object_materials, strict=True)
+    grains = [
+        FILLED * (body.size / scene.spacing) ** 3 * any(m.grains for m in materials)
+        for body, materials in objects
+    ]
+    return round(sum(grains) + gaussians * len(grains))
 
 
 def count_nodes(scene: Scene) -> int:

@@ -86,6 +86,11 @@ class Material(Section):
     shines: ClassVar[bool] = False
     """Whether videos show the material's gloss (phy124/rendering/shine.py)."""
 
+    @property
+    def redrawn(self) -> bool:
+        """Whether videos compute the colours or the surface of the material in every frame."""
+        return self.shines or self.lit or self.dents or self.crumbles
+
     sounder_law: ClassVar[str | None] = None
     """A law with the same fields that is stable in harder impacts; None if there is no such law."""
 

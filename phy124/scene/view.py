@@ -168,6 +168,10 @@ class View(Section):
         """Return the moving camera with this name; None: a fixed view."""
         return next((camera for camera in self.cameras if camera.name == side), None)
 
+    def count_pictures(self, frames: int) -> int:
+        """Return the largest number of pictures of a video of a clip with `frames` frames."""
+        return 2 * frames - 2 if self.seamless and frames > 2 else frames
+
     def only(self, side: str) -> View:
         """Return these options with only one view."""
         camera = self.camera(side)
