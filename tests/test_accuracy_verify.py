@@ -131,6 +131,16 @@ def test_an_error_that_is_nan_on_one_grid_fails(monkeypatch):
     assert not any(verdict.passed for verdict in verify.hydrostatic_column(False, "cpu"))
 
 
+@pytest.mark.parametrize(
+    "options", [["press"], ["--out", "x"], ["--levels", "8", "10", "12"], ["--generator", "lgm"]]
+)
+def test_verification_refuses_options_of_a_study(monkeypatch, capsys, options):
+    monkeypatch.setattr(verify, "CHECKS", ())
+    assert main(["accuracy", "--verify", *options]) == 2
+    name = options[0] if options[0].startswith("--") else "SCENE"
+    assert f"Remove {name} or --verify" in capsys.readouterr().err
+
+
 def test_verify_on_the_command_line(capsys, monkeypatch):
     monkeypatch.setattr(verify, "CHECKS", (verify.free_fall,))
     assert main(["accuracy", "--verify"]) == 0

@@ -1,5 +1,6 @@
 """Runs of a fit, which are kept, and the report of their values."""
 
+import shutil
 from types import SimpleNamespace
 from typing import cast
 
@@ -11,8 +12,8 @@ from phy124.gaussians import Gaussians
 from phy124.imaging.painted import WHOLE
 from phy124.progress import silent
 from phy124.scene import Scene
-from phy124.studies.fit import budget
-from phy124.studies.fit.budget import Budget
+from phy124.studies.fit import budget, running
+from phy124.studies.fit.budget import Budget, Outlook
 from phy124.studies.fit.declaration import Fit
 from phy124.studies.fit.estimate import Estimate
 from phy124.studies.fit.report import format_table, make_report
@@ -140,6 +141,19 @@ def test_a_cancelled_fit_keeps_its_runs(tmp_path):
     again = runs_in(tmp_path)
     again.predict([np.array([0.0]), np.array([0.5])], 0)
     assert (again.kept, again.player.calls) == (1, 1)
+
+
+def test_lack_of_disk_space_is_reported_before_a_fit(tmp_path, monkeypatch):
+    target = _named("object.lift")
+    target.film = None
+    monkeypatch.setattr(running, "Target", lambda declared: target)
+    monkeypatch.setattr(running, "_outlook", lambda *_: Outlook((8,), (0.0,), 1, 1))
+    monkeypatch.setattr(running, "estimate", lambda *_, **__: 1 / 0)
+    usage = shutil.disk_usage(tmp_path)._replace(free=100)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage)
+    words = "need about .* has only 100 bytes of free space; after a full disk, the same command"
+    with pytest.warns(UserWarning, match=words), pytest.raises(ZeroDivisionError):
+        fit(target.declared, tmp_path / "out")
 
 
 def test_a_path_that_is_no_field_is_refused_before_any_run(tmp_path):

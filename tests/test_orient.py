@@ -70,3 +70,11 @@ def test_a_file_of_one_point_is_named_in_the_refusal(tmp_path, capsys):
         f"file = {tmp_path / 'point.ply'}: Nearly all of its opacity is at a single point"
         in capsys.readouterr().err
     )
+
+
+def test_sheet_does_not_replace_the_file_that_is_read(file, capsys):
+    named = file.rename(file.with_suffix(".png"))
+    before = named.read_bytes()
+    assert main(["orient", str(named), "--out", str(named), "--device", "cpu"]) == 2
+    assert "It is the name of a file that this command reads" in capsys.readouterr().err
+    assert named.read_bytes() == before

@@ -62,9 +62,11 @@ class ShowAccuracy:
         """Verify the solver or study a scene; return 1 if a check fails, 3 if no grid was run.
 
         Raises:
-            InputError: There is nothing to study, or scene, picture or grids cannot be used.
+            InputError: There is nothing to study, scene, picture or grids cannot be used, or
+                `verify` has further options.
         """
         if self.verify:
+            self._refuse_options_of_scenes()
             return self._verify()
         if self.scene is None:
             raise InputError(
@@ -74,6 +76,14 @@ class ShowAccuracy:
         changes = {path: value for path, value in length.items() if value is not None}
         changes = merge_changes(changes, parse_changes(self.set))
         return self._study(Scene.named(self.scene).replaced(changes))
+
+    def _refuse_options_of_scenes(self) -> None:
+        usual = ShowAccuracy(verify=True, device=self.device, json=self.json, making=self.making)
+        changed = {name: value for name, value in vars(self).items() if value != vars(usual)[name]}
+        for name, value in (changed | self.making.list_changes()).items():
+            limit = "--verify solves problems of its own, without a scene."
+            option = "SCENE" if name == "scene" else f"--{name}"
+            raise InputError(name, value, limit, f"Remove {option} or --verify.")
 
     def _verify(self) -> int:
         from phy124.studies.validation.accuracy.verify import verify

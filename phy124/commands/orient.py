@@ -14,7 +14,7 @@ from phy124.errors import InputError
 from phy124.gaussians import Gaussians
 from phy124.generators.ply_file import Reading
 from phy124.io.axes import FRONTS
-from phy124.io.files import replacing
+from phy124.io.files import refuse_replacing, replacing
 from phy124.rendering.orienting import candidates, draw_oriented, samples
 from phy124.rendering.render import Renderer
 from phy124.runtime.device import pick_device
@@ -40,7 +40,8 @@ class Orient:
         """Draw the object in each possible orientation; print the path of the contact sheet.
 
         Raises:
-            InputError: The file cannot be read, `up` is not an axis, or `out` is not a PNG file.
+            InputError: The file cannot be read, `up` is not an axis, or `out` is not a PNG file
+                or is the file that is read.
         """
         out = self.out or Path("out") / f"{self.file.stem}-orient.png"
         if out.suffix.lower() != ".png":
@@ -51,6 +52,7 @@ class Orient:
             raise InputError(
                 "up", self.up, "It is not an axis.", f"Choose one of {', '.join(FRONTS)}."
             )
+        refuse_replacing(out, [self.file])
         gaussians, notes = samples(str(self.file))
         for note in notes:
             print(f"note: {note}")

@@ -21,17 +21,29 @@ OUTPUT = 6
 
 
 def warn_of_disk_space(run: Simulation, out: Path, *, films: bool) -> None:
-    """Warn if the disk has less free space than the estimated size of the results."""
-    needed = estimate_size(run, films=films)
+    """Warn if the disk has less free space than the estimated size of a run's results."""
+    then = "files that do not fit are written to another folder if possible"
+    warn_if_full(estimate_size(run, films=films), out, then)
+
+
+def warn_if_full(needed: float, out: Path, then: str) -> None:
+    """Warn if the disk of a folder, which need not exist, has less free space than is needed.
+
+    Args:
+        needed: Estimated size of the results [bytes].
+        out: The folder of the results.
+        then: What happens to results that do not fit, or what the user can do.
+    """
     try:
-        free = shutil.disk_usage(out).free
+        folder = next(path for path in (out, *out.absolute().parents) if path.exists())
+        free = shutil.disk_usage(folder).free
     except OSError:
         return
     if needed > free:
         warnings.warn(
-            f"the results need about {size(needed)}, but the disk of {out} has only {size(free)} "
-            "of free space; files that do not fit are written to another folder if possible",
-            stacklevel=2,
+            f"the results need about {size(needed)}, but the disk of {out} has only "
+            f"{size(free)} of free space; {then}",
+            stacklevel=3,
         )
 
 

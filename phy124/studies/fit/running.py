@@ -11,6 +11,7 @@ from phy124.io.clip import Clip
 from phy124.io.files import refuse_replacing, staging, write_whole
 from phy124.io.video import refuse_missing_encoder
 from phy124.pipeline import write_json
+from phy124.pipeline.disk_space import warn_if_full
 from phy124.progress import Progress, silent
 from phy124.scene import Scene
 from phy124.studies.fit.budget import Budget, Outlook, make_outlook
@@ -22,6 +23,8 @@ from phy124.studies.fit.runs import Runs
 from phy124.studies.fit.target import Target
 from phy124.studies.fit.video import Film
 
+STORED = 4
+"""Size of a predicted measurement in the file of a run [bytes]."""
 SCENE, REPORT = "fitted.toml", "fit.json"
 SHEET, FILM, PAGE = "comparison.png", "comparison.mp4", "comparison.html"
 
@@ -75,6 +78,8 @@ def fit(
     expected.refuse(declared.seconds)
     on_forecast(expected)
     budget.expected = sum(expected.runs())
+    then = "after a full disk, the same command continues the fit"
+    warn_if_full(budget.expected * target.observations.measured.size * STORED, out, then)
     with runs.workers(workers):
         estimated = estimate(runs, seed=declared.seed)
     return _write(target, runs, budget, estimated, out)
