@@ -4,14 +4,15 @@ The work of all causes adds up to the change of the kinetic energy, except for r
 which the report shows.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from phy124.kernels.lattice.work import make_contact_work, make_node_work
 from phy124.monitor.diagnostics import Diagnostics
 from phy124.monitor.dissipation import Loss
+from phy124.monitor.external_work import ExternalWork
 from phy124.monitor.liquid import LiquidDissipation
-from phy124.monitor.observer import Effect, Subject
+from phy124.monitor.observer import Effect, Observer, Subject, find
 
 
 class LatticeDissipation(LiquidDissipation):
@@ -32,6 +33,11 @@ class LatticeDissipation(LiquidDissipation):
         """Return the row of the effects report."""
         why = "checks.energy is off: the causes of energy loss are not distinguished"
         return Effect("work of forces, stress and contact", cls.called_for(subject), why)
+
+    def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
+        """Connect the observer to the solver and to the work of the stiffening of the material."""
+        super().bind(solver, observers)
+        self._external = find(observers, ExternalWork)
 
     def divide(self, first: Diagnostics, last: Diagnostics) -> dict[str, float]:
         """Return losses, changes of energy, and work of each cause [J].
