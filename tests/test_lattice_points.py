@@ -7,14 +7,17 @@ import pytest
 import scipy
 from scipy.spatial import KDTree
 
+from phy124.generators.shapes import make_shape
 from phy124.kernels.lattice.partners import OTHER
 from phy124.lattice.rest import splines
 from phy124.lattice.surface import FLAT, Lazy, _inverses
 from phy124.lattice.tips import _three_in_a_row, points_in_tips, rows_of
 from phy124.particles.lattice import PER_CELL, integration_points, surface_points
 from phy124.particles.solid import Solid, find_interior
+from phy124.scene import Scene
+from phy124.simulation import prepare
 from phy124.studies.validation.bodies import fill_solid
-from support.lattices import DX, block, make, rod
+from support.lattices import DX, block, lattice_scene, make, rod
 from support.solids import box_of_discs
 
 
@@ -93,6 +96,17 @@ def test_surface_points_lie_on_a_box():
     out = np.maximum(-rows[:, :3], rows[:, :3] - (0.4, 0.3, 0.3))
     assert np.allclose(out.max(axis=1), 0)
     assert {tuple(x) for x in np.round(rows[:, :3], 9)} >= {(0.4, 0.3, 0.3)}
+
+
+def test_face_towards_a_static_part_has_surface_points():
+    low = {"static": True, "region": {"upper": (9.0, 9.0, 0.5)}}
+    scene = Scene.from_data({**lattice_scene().data(), "object": {"size": 1.0}, "parts": [low]})
+    cube = make_shape("box", (1.0, 1.0, 1.0), (0.5, 0.5, 0.5))
+    rows = prepare(cube, scene).particles.surface
+    below = rows[:, 5] < -0.9
+    assert below.sum() > 200  # There are 64 cells.
+    assert rows[below, 2] == pytest.approx(0.5, abs=0.01)
+    assert rows[:, 2].min() > 0.49
 
 
 @pytest.mark.parametrize("side", [1.27, 1.52])

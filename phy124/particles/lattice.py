@@ -65,6 +65,11 @@ def lattice_of(solid: Solid, *, density: float, dx: float, parts: Parts | None =
         raise TooFine("accuracy.cells", f"{dx:.3g} m per cell", limit, "Choose fewer cells.")
     points, subdivided, cell = _lattice_of(solid, dx)
     if parts is not None:
+        moving = ~parts.static[parts.find(points.x.reshape(-1, PER_CELL, 3).mean(axis=1))]
+        if 0 < moving.sum() < len(moving):
+            # The last entry is for voxels without a cell.
+            rows = _cut_surface(subdivided, np.append(moving, False)[cell], dx)
+            points = replace(points, surface=rows)
         points = divide_cells(points, subdivided, cell, parts, dx)
     return replace(points, density=np.full(len(points), float(density)))
 
@@ -75,20 +80,32 @@ def _lattice_of(solid: Solid, dx: float) -> tuple[Particles, Solid, NDArray[np.i
     solid = _subdivide(solid, dx)
     cells = _find_cells(solid, dx)
     x, volume, copies, cell = _points_of_pieces(solid, dx, cells)
-    rows, count = _surface_points(solid, dx, cells), len(x)
+    count = len(x)
     points = Particles(
         x=x.astype(np.float32),
         volume=volume,
         density=np.ones(count),
         material=np.zeros(count, np.int32),
         gaussian=np.full(count, -1, np.int32),
-        surface=np.concatenate([rows, np.zeros((len(rows), 1))], axis=1),
+        surface=_rows_of(_surface_points(solid, dx, cells)),
         copies=copies,
     )
     for array in vars(points).values():
         if array is not None:
             array.flags.writeable = False  # All runs use this array.
     return points, solid, cell
+
+
+def _cut_surface(solid: Solid, kept: NDArray[np.bool_], dx: float) -> NDArray[np.float64]:
+    """Return the surface points of the voxels that are kept [V], as rows [S,7]."""
+    fraction = np.zeros(solid.fraction.shape, np.float32)
+    fraction[tuple(solid.voxels.indices.T)] = solid.voxels.fraction * kept
+    return _rows_of(surface_points(Solid(solid.first, solid.voxel, fraction), dx))
+
+
+def _rows_of(points: NDArray) -> NDArray[np.float64]:
+    """Return surface points with normals [S,6] as rows [S,7] that end with the body's index."""
+    return np.concatenate([points, np.zeros((len(points), 1))], axis=1)
 
 
 def cells_of(points: Particles) -> Particles:

@@ -35,8 +35,10 @@ class Parts(NamedTuple):
 
     find: Callable[[NDArray], NDArray[np.int32]]
     """Returns the index of the part at each position [M,3], m."""
-    whole: NDArray[np.bool_]
-    """Whether each part ends at whole cells. A cell belongs to such a part if its centre does."""
+    static: NDArray[np.bool_]
+    """Whether each part is static. A cell belongs to a static part if its centre does, so static
+    parts end at whole cells.
+    """
 
 
 class _Pieces(NamedTuple):
@@ -71,12 +73,12 @@ def divide_cells(
         parts: The parts of the body.
         dx: Side of a cell [m].
     """
-    centre, count = points.x.reshape(-1, PER_CELL, 3).mean(axis=1), len(parts.whole)
+    centre, count = points.x.reshape(-1, PER_CELL, 3).mean(axis=1), len(parts.static)
     pieces = _pieces(solid, parts)
     pieces = pieces.select(cell[pieces.voxel] >= 0)
     holder, part = cell[pieces.voxel], pieces.part
     at_centre = parts.find(centre)[holder]
-    part = np.where(parts.whole[at_centre] | parts.whole[part], at_centre, part)
+    part = np.where(parts.static[at_centre] | parts.static[part], at_centre, part)
     keys, share = np.unique(holder * count + part, return_inverse=True)
     share = share.reshape(-1)
     size, of = np.bincount(share, pieces.volume), keys // count
