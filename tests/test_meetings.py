@@ -76,6 +76,40 @@ def test_block_slides_on_a_block(friction):
     assert abs(down) < 0.02 * DX
 
 
+@pytest.mark.parametrize("gap", [0.0, 0.4, 0.7])
+def test_block_hangs_from_a_sticky_block_near_which_it_starts(gap):
+    low = block((0.4, 0.4, 0.4), per=10)
+    board = block((0.6, 0.6, 0.2), low=(-0.1, -0.1, 0.4 + gap * DX), per=10)
+    pairs, pull = [Pair(0, 1, sticky=True)], Gravity(g=(0, 0, -2.0))
+    solver = make_bodies([low, board], held=[1], pairs=pairs, forces=[pull])
+    solver.advance(0.5)
+    solver.bind(forces=[pull])
+    solver.advance(1.0)
+    solver.pairs.begin()
+    solver.advance(1.5)
+    (force, _), *_ = solver.pairs.wrenches(0.5).values()
+    assert force[2] == pytest.approx(-64 * 2.0, rel=0.01)
+    sunk = (solver.model.rest - solver.state.x.numpy())[solver.model.particles(0), 2].mean()
+    assert sunk == pytest.approx(1000 * 2.0 * 0.4**2 / 3 / DAMPED.E, abs=0.02 * DX)
+
+
+def test_glued_blocks_turn_together():
+    """Two blocks start 0.4 cells apart and turn about the middle between them."""
+    solids = [block((0.4, 0.4, 0.4), low=(x, 0, 0), per=10) for x in (0, 0.44)]
+    solver, middle = make_bodies(solids, pairs=[Pair(0, 1, sticky=True)]), np.array([0.42, 0.2, 0])
+    for body in range(2):
+        solver.carry_nodes(lambda x, v: (x, np.cross([0, 0, 2.0], x - middle)), body)
+    totals = LatticeTotals(solver)
+    before = totals.read(solver.clock)
+    solver.advance(math.pi / 2)
+    after = totals.read(solver.clock)
+    assert after.angular == pytest.approx(before.angular, abs=1e-4 * before.angular[2])
+    spans = [solver.model.particles(body) for body in range(2)]
+    x, rest = solver.state.x.numpy(), solver.model.rest
+    way, old = (np.subtract(*(points[span].mean(axis=0) for span in spans)) for points in (x, rest))
+    assert way == pytest.approx(-old, abs=0.2 * DX)
+
+
 @pytest.mark.parametrize("precision", ["float64", pytest.param("float32", marks=pytest.mark.slow)])
 def test_balls_exchange_momentum_exactly(precision):
     balls = [ball(0, 0, 0), ball(0.72, 0.13, 0.05)]

@@ -20,6 +20,7 @@ from phy124.kernels.lattice.partners import SIDEWAYS
 from phy124.kernels.lattice.work import ITSELF, PAIRS
 from phy124.kernels.launches import put
 from phy124.lattice.clamps import PassedOn
+from phy124.lattice.gaps import initial_gaps
 from phy124.lattice.impulses import ContactWork
 from phy124.lattice.partners import REACH, Partners
 from phy124.lattice.surface import Surface
@@ -90,6 +91,10 @@ class Meeting:
         """Whether pairs near each sampled point were determined."""
         self.slack = 0.0
         """Relative displacement that remains until the surfaces are compared again [m]."""
+        self._space = np.zeros(surface.count)
+        """Distance between the surfaces at which contact of each point begins [S], m."""
+        self._starts = sticky
+        """Whether points that are near each other in the next call begin to stick."""
         self._away = self._between or bool(surface.side[sample].any())
         """Whether the next call must determine the pairs."""
 
@@ -186,10 +191,11 @@ class Meeting:
         if self._away or self.slack < 0:
             self._look(x)
             self.slack = most
+        self._starts = False
 
     def part(self) -> None:
         """Remove all pairs of touching points, because the two bodies are far from each other."""
-        self._points, self._away = self._points[:0], True
+        self._points, self._away, self._starts = self._points[:0], True, False
 
     def _look(self, x: NDArray[np.float64]) -> None:
         self._seen, self._away = x, False
@@ -213,15 +219,22 @@ class Meeting:
         """
         surface = self._surface
         partners = self._partners.find(points, between=self._between)
-        a, b = partners.pop("a"), partners.pop("b")
+        a, b, n = partners.pop("a"), partners.pop("b"), partners["normal"]
+        way, slopes = surface.x[a] - surface.x[b], surface.slopes[b]
+        if self._starts:
+            gap = (way * n).sum(axis=1)
+            self._space[a] = initial_gaps(gap, n, surface.normal[a], surface.dx)
+        # The other surface is extended, so that impulses along it have no moment either.
+        step = (partners["back"] @ (self._space[a][:, None] * n)[:, :, None])[:, :, 0]
+        stretched = surface.weights[b] + (slopes @ step[:, :, None])[:, :, 0]
         forces = np.zeros((surface.count, 3))
         forces[self._points] = self._pairs["force"].numpy()[: len(self._points)]
         pairs = {
             "nodes": np.concatenate([surface.nodes[a], surface.nodes[b]], axis=1),
-            "weights": np.concatenate([surface.weights[a], -surface.weights[b]], axis=1),
-            "rest": surface.x[a] - surface.x[b] + self._overlap(a, b)[:, None] * partners["normal"],
+            "weights": np.concatenate([surface.weights[a], -stretched], axis=1),
+            "rest": way - step + self._overlap(a, b)[:, None] * n,
             "shift": np.zeros((len(a), 3)),
-            "slopes": surface.slopes[b],
+            "slopes": slopes,
             "sign": np.where(surface.body[a] == self.bodies[1], 1.0, -1.0),
             "force": forces[a],
         }
@@ -255,12 +268,13 @@ class Meeting:
         count = len(self._points)
         pairs = {name: array.numpy()[:count].copy() for name, array in self._pairs.items()}
         places = {"seen": self._seen.copy(), "flagged": self._flagged.copy(), "away": self._away}
-        places["reach"] = self.reach
+        places |= {"reach": self.reach, "space": self._space.copy()}
         return {"points": self._points.copy(), **places, **pairs}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
         """Restore the state from a snapshot."""
         self._seen, self._flagged = (np.array(snapshot[name]) for name in ("seen", "flagged"))
-        self._away = bool(snapshot["away"])
+        self._away, self._starts = bool(snapshot["away"]), False
+        self._space = np.array(snapshot["space"])
         self.limit(float(snapshot["reach"]))
         self._fill(np.array(snapshot["points"]), snapshot)

@@ -32,7 +32,8 @@ from phy124.kernels.lattice.partners import make_expose, make_flag, make_flag_si
 from phy124.kernels.lattice.rows import SIMD, Rows, rows_for
 from phy124.kernels.lattice.work import WALLS
 from phy124.kernels.launches import put
-from phy124.lattice.clamps import Clamp, PassedOn, acts_on
+from phy124.lattice.clamps import Clamp, PassedOn, acts_on, distances
+from phy124.lattice.gaps import initial_gaps
 from phy124.lattice.impulses import ContactWork, Impulses
 from phy124.lattice.rest import RestLattice
 from phy124.lattice.surface import Surface
@@ -290,10 +291,16 @@ class _Contact:
         self._shape = t.mat33(*np.ravel(part.geometry(model)))
         self._near: NDArray[np.int32] = np.zeros(0, np.int32)
         self._affected = acts_on(part, model, surface.body)
-        self.reach = REACH * model.dx
-        """Largest distance from the wall at which contact is computed [m]."""
         self.separates = part.response() == "separate"
         """Whether points may leave the wall."""
+        self._space = np.zeros(surface.count)
+        """Distance from the wall at which contact with each point begins [S], m."""
+        if not self.separates:
+            start = (part.track(model) or STILL).values(np.zeros(1))[0]
+            far = distances(part, model, surface.x - start)
+            self._space = initial_gaps(far[:, 3], far[:, :3], surface.normal, model.dx)
+        self.reach = REACH * model.dx
+        """Largest distance from the wall at which contact is computed [m]."""
         self.clamped = False
         """Whether the run has clamps. Clamps change the response of points to impulses between
         substeps.
@@ -328,7 +335,7 @@ class _Contact:
 
     def list_near(self, approach: float) -> None:
         """List the surface points that were within `reach` plus `approach` [m] of the wall."""
-        close = self._gaps.numpy() < self.reach + approach
+        close = self._gaps.numpy() - self._space < self.reach + approach
         near = np.flatnonzero(close & self._affected)
         if not np.array_equal(near, self._near):
             self._near = near.astype(np.int32)
@@ -395,7 +402,8 @@ class _Contact:
     def _touch(self) -> wp.Launch:
         model, nodes, tracks = self._model, self._nodes, self._tracks
         inputs = [self._list, 0, self.reach, self._shape, self._slot, *nodes.points]
-        inputs += [nodes.movable, self._yields, nodes.u, tracks.clock, tracks.values]
+        inputs += [model.array(self._space, model.real), nodes.movable, self._yields, nodes.u]
+        inputs += [tracks.clock, tracks.values]
         outputs = [nodes.v, self._gap, self._place, self.force]
         kernel = make_touch(self._part.outline(), model.real, nodes.rows)
         return cast("wp.Launch", model.launch(kernel, 1, inputs, outputs))

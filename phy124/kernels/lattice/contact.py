@@ -52,6 +52,7 @@ def make_touch(shape: str, real: Any, rows: Rows):
 
     `inverse` is the inverse mass, or zero for nodes in a clamp. `force_out` contains the mean force
     on each point in the last substep [N], and is set to zero for a point that has left the wall.
+    Contact with a point begins at the distance `space` from the wall.
     `gap_out` is the normal and the distance of each point near the wall; the distance of other
     points is infinite.
     """
@@ -69,6 +70,7 @@ def make_touch(shape: str, real: Any, rows: Rows):
         nodes,
         weights,
         rest,
+        space: t.reals,
         inverse,
         yields,
         u,
@@ -85,9 +87,10 @@ def make_touch(shape: str, real: Any, rows: Rows):
             s = near[a]
             y = rest[s] + moved_by(u, nodes, weights, s)
             d = distance(y - moved, geometry)
+            gap = d[3] - space[s]
             place_out[s] = y
-            if active > real(0.0) and d[3] < reach and yields[s] > real(0.0):
-                gap_out[s] = d
+            if active > real(0.0) and gap < reach and yields[s] > real(0.0):
+                gap_out[s] = wp.vector(d[0], d[1], d[2], gap)
                 impulse = clock[0] * force_out[s]
                 if wp.dot(impulse, impulse) > real(0.0):
                     strike(v_out, inverse, nodes, weights, s, impulse)
