@@ -50,7 +50,7 @@ def mixed(
     model = Model.of(x, volume, materials, dx=DX, material=number, body=number, **named)
     pull = [Gravity(g=(0, 0, -gravity))] if gravity else []
     tanks = [(f"tank_{index}", wall) for index, wall in enumerate(walls)]
-    options = {"uniform": pull, "boundaries": list(walls), "walls": tanks, "pushed": bool(pushes)}
+    options = {"on_liquid": [*pull, *pushes], "boundaries": list(walls), "walls": tanks}
     options |= {"forces": [*pull, *pushes], "free": free, "threads": threads}
     options["planes"] = [side for wall in walls for side in wall.sides()] if free else []
     return MixedSolver(model, State.of(model), **options)
@@ -155,6 +155,16 @@ def test_force_on_particles_presses_the_floor_beside_bodies():
     press = (run(solver, 12).impulses.wrench("tank_0_z_low").numpy()[2] - before) / 0.5
     volume = solver.model.volume.numpy().sum()
     assert press == pytest.approx(DENSITY * G * volume, rel=0.01)
+
+
+def test_force_on_particles_moves_the_liquid_like_gravity():
+    """The distance is exact with few steps: the first step takes half of the acceleration."""
+    zone = ZoneForce(place=Region(lower=(-9, -9, -9), upper=(9, 9, 9)), a=(0, 0, -G))
+    water, body = block((0, 0, 0), (1, 1, LEVEL), CELLS), block((3, 0, 0), (3.5, 0.5, 0.5), CELLS)
+    solver = run(mixed(water, body, DENSITY, walls=(), gravity=0, pushes=[zone]), 10)
+    part = solver.model.particles(0)
+    fall = solver.model.rest[part, 2].mean() - solver.state.x.numpy()[part, 2].mean()
+    assert fall == pytest.approx(G / 2 * (10 / 24) ** 2, rel=1e-3)
 
 
 def with_solid(solid: FreeBody, mixture: bool):

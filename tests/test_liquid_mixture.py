@@ -152,7 +152,7 @@ def with_body(density, bottom, cells, oil) -> MixedSolver:
     )
     inside = Region(lower=(0, 0, 0), upper=(0.5, 0.5, 1e9))
     pull, walls = [Gravity(g=(0, 0, -G))], Container(inside=inside, contact="slip")
-    options = {"forces": pull, "uniform": pull, "boundaries": [walls], "walls": [("tank", walls)]}
+    options = {"forces": pull, "on_liquid": pull, "boundaries": [walls], "walls": [("tank", walls)]}
     return MixedSolver(model, State.of(model), **options, threads=1)
 
 

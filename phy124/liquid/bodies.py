@@ -104,7 +104,6 @@ class Bodies(Kept):
         self.limit = 0.0
         """Largest acceleration of a body's particle by the pressure of the liquid [m/s^2]."""
         self._kick, self._pull = 0.0, np.zeros(3)
-        self.pushed = False
         self._period = self._lightest = math.inf
         """`period` and `light` with the initial stiffness [s]."""
         self._softened = 1.0

@@ -19,14 +19,13 @@ from phy124.lattice.solver import LatticeSolver
 from phy124.liquid.bodies import Bodies
 from phy124.liquid.exchange import LatticeBodyWork
 from phy124.liquid.impulses import WallImpulses
-from phy124.liquid.mixed import MixedClock, liquid_model, liquid_span, liquid_state
+from phy124.liquid.mixed import MixedClock, OfModel, liquid_model, liquid_span, liquid_state
 from phy124.liquid.solver import LiquidSolver
-from phy124.mpm import Accumulator, Attachable, Model, Pair, Stage, State
+from phy124.mpm import Accumulator, Attachable, Model, Pair, State
 from phy124.mpm.free import Plane
 from phy124.mpm.grid import grids_of
 from phy124.mpm.pairs import Pairs
 from phy124.mpm.stage import divide_forces
-from phy124.mpm.tracks import Tracks
 from phy124.mpm.workers import Timings, run_timed
 from phy124.runtime.weakly import weakly
 
@@ -320,19 +319,13 @@ def _names_of_liquid(model: Model) -> tuple[str, ...]:
     return tuple(model.names[body] for body in model.wet) if len(model.wet) == 1 else ()
 
 
-class _OfAll:
+class _OfAll(OfModel):
     """Sums over all particles, also in substeps that move only some of the particles."""
-
-    def __init__(self, item: Accumulator, model: Model, state: State) -> None:
-        self._item, self._model, self._state = item, model, state
-
-    def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Return the stages that update the sums over the particles."""
-        return self._item.attach(self._model, self._state, tracks)
 
     def snapshot(self) -> dict[str, Any]:
         """Return a snapshot of the sums over the particles."""
-        return self._item.snapshot()
+        sums: dict[str, Any] = self._item.snapshot()
+        return sums
 
     def restore(self, snapshot: dict[str, Any]) -> None:
         """Restore the sums over the particles from a snapshot."""

@@ -16,10 +16,11 @@ from phy124.liquid.exchange import BodyWork
 from phy124.liquid.impulses import WallImpulses
 from phy124.liquid.rigid import Moments, Motion
 from phy124.liquid.solver import LiquidSolver
-from phy124.mpm import Accumulator, Attachable, Clock, Model, Solver, State
+from phy124.mpm import Accumulator, Attachable, Clock, Model, Solver, Stage, State
 from phy124.mpm.free import Plane
 from phy124.mpm.model import part_of
 from phy124.mpm.stage import divide_forces
+from phy124.mpm.tracks import Tracks
 from phy124.runtime.weakly import weakly
 
 
@@ -68,10 +69,9 @@ class MixedSolver(Solver):
         state: State,
         *,
         forces: Sequence[Attachable] = (),
-        uniform: Sequence[Attachable] = (),
+        on_liquid: Sequence[Attachable] = (),
         boundaries: Sequence[Attachable] = (),
         walls: Sequence[tuple[str, Boundary]] = (),
-        pushed: bool = False,
         accumulators: Sequence[Accumulator] = (),
         planes: Sequence[Plane] = (),
         threads: int | None = None,
@@ -82,11 +82,10 @@ class MixedSolver(Solver):
         Args:
             model: All particles; the liquid consists of the bodies `Model.wet`.
             state: Initial state of the particles.
-            forces: Forces, in the order in which they act.
-            uniform: The uniform forces among these forces.
+            forces: Forces for the bodies, in the order in which they act.
+            on_liquid: The same forces, for the liquid.
             boundaries: Boundaries for the bodies.
             walls: The same boundaries, with their names, for the liquid.
-            pushed: Whether any force acts on particles.
             accumulators: Sums that are updated in every substep.
             planes: Flat walls with which freely moving solids collide.
             threads: Number of CPU threads; None: the fastest number.
@@ -100,15 +99,17 @@ class MixedSolver(Solver):
         self.bodies: Bodies | None = None
         """The other bodies; None only while the solver is constructed."""
         self._liquid: LiquidSolver | None = None
+        dry = frozenset(range(model.bodies)) - model.wet
+        self._wet = replace(model, held=model.held | dry, free_mass=0.0)
+        self._dry = replace(model, held=model.held | model.wet)
         super().__init__(
-            model, state, forces=forces, boundaries=boundaries, accumulators=accumulators,
+            model, state, boundaries=boundaries, accumulators=accumulators,
             planes=planes, threads=threads, graph=False, **options,
         )  # fmt: skip
         work = BodyWork(model, state)
         self.bodies = Bodies(model, state, self.grids, self.free, work)
-        self.bodies.pushed = pushed
         self._liquid = LiquidSolver(
-            part, liquid_state(state, span), forces=divide_forces(uniform, part, model),
+            part, liquid_state(state, span), forces=self._divide(on_liquid, self._wet),
             boundaries=walls, free=self.free.all, ceiling=self.clock.ceiling, threads=threads,
             bodies=self.bodies, advance_bodies=weakly(self._advance_bodies),
             whole=model,
@@ -120,10 +121,14 @@ class MixedSolver(Solver):
         self._after: Callable[[], None] | None = None
         self._each = False
         super().bind(
-            forces=[*forces, self.bodies], boundaries=boundaries, accumulators=accumulators,
-            planes=planes,
+            forces=[*self._divide(forces, self._dry), self.bodies], boundaries=boundaries,
+            accumulators=accumulators, planes=planes,
         )  # fmt: skip
         self._liquid.bounds = self.rejection
+
+    def _divide(self, forces: Sequence[Attachable], part: Model) -> list[Attachable]:
+        divided = divide_forces(forces, part, self.model)
+        return [OfModel(force, part, self.state) for force in divided]
 
     @property
     def liquid(self) -> LiquidSolver:
@@ -169,28 +174,24 @@ class MixedSolver(Solver):
         self,
         *,
         forces: Sequence[Attachable] = (),
-        uniform: Sequence[Attachable] = (),
+        on_liquid: Sequence[Attachable] = (),
         walls: Sequence[tuple[str, Boundary]] = (),
-        pushed: bool = False,
         **acting: Any,
     ) -> None:
         """Replace the forces, the boundaries and the sums over particles, from the next step on.
 
         Args:
-            forces: Forces, in the order in which they act.
-            uniform: The uniform forces among the forces.
+            forces: Forces for the bodies, in the order in which they act.
+            on_liquid: The same forces, for the liquid.
             walls: The boundaries, with their names, for the liquid.
-            pushed: Whether any force acts on particles.
             acting: Further arguments of `Solver.bind`.
 
         Raises:
             InputError: For the same reasons as in `__init__`.
         """
         if self._liquid is not None and self.bodies is not None:
-            self.bodies.pushed = pushed
-            uniform = divide_forces(uniform, self._liquid.model, self.model)
-            self._liquid.bind(forces=uniform, boundaries=walls)
-            forces = [*forces, self.bodies]
+            self._liquid.bind(forces=self._divide(on_liquid, self._wet), boundaries=walls)
+            forces = [*self._divide(forces, self._dry), self.bodies]
         super().bind(forces=forces, **acting)
         if self._liquid is not None:
             self._liquid.bounds = self.rejection
@@ -237,6 +238,18 @@ class MixedSolver(Solver):
         """Restore a snapshot; with an equal number of threads, the run continues bit for bit."""
         super().restore(snapshot)
         self.liquid.restore(snapshot["liquid"])
+
+
+class OfModel:
+    """A force, or sums, for the particles of another model than the solver's."""
+
+    def __init__(self, item: Any, model: Model, state: State) -> None:
+        self._item, self._model, self._state = item, model, state
+
+    def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
+        """Return the stages for the particles of the other model."""
+        stages: list[Stage] = self._item.attach(self._model, self._state, tracks)
+        return stages
 
 
 def liquid_span(model: Model) -> slice:

@@ -122,8 +122,7 @@ class Phases:
         self._mixture.fit(self._cells.count)
         self.viscosity.fit(walls, tracks, impulses_of_walls)
         in_cells = bool(walls.all) or self.energies.on
-        between = self._bodies is not None and self._bodies.pushed
-        self.pushes.fit(len(self._workers), pushes, in_cells=in_cells, between=between)
+        self.pushes.fit(len(self._workers), pushes, in_cells=in_cells)
         fixed = self._solids.first(walls)
         self.energies.fit(walls, fixed, tracks, impulses_of_walls, self.pushes.gains)
         names: list[str] = []
@@ -157,9 +156,8 @@ class Phases:
         for phase in self._walls.describe(cells, worker, len(self._workers), move=True):
             yield "move", launches(phase)
         yield "leave walls", launches(self._push_out(worker, stops=False))
-        alone, keep = worker == 0 and self._bodies is None, self.pushes.keep(self._run(worker))
-        between = self._bodies is not None and not pushes
-        yield "scatter", [] if between else keep
+        alone = worker == 0 and self._bodies is None
+        yield "scatter", self.pushes.keep(self._run(worker))
         yield "scatter", self._push(pushes, worker, grid)
         yield "scatter", launches(self._solids.kick(self._tracks) if alone else [])
         yield "scatter", [*self._scatter(worker), *self.pushes.add(worker, self._run(worker))]
@@ -170,7 +168,7 @@ class Phases:
             yield "gather", launches(records)
         if solids:
             drift = self._solids.bodies.drift() if alone else []
-            yield "drift", keep if between else launches(drift)
+            yield "drift", launches(drift)
             yield "fill", launches(self._sum_shifts(worker, self._push_out(worker, stops=False)))
         yield "fill", self._fill(worker, self._model.volume)
         for records in self._density_equation(worker):

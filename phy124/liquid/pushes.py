@@ -30,31 +30,22 @@ class Pushes:
         self._model, self._state, self._cells = model, state, cells
         self.sums: wp.array | None = None
         """Impulse and work of forces on particles, for each worker [W,16]; None: not summed."""
-        self._v: list[wp.array] = []
         self.fit(0, (), in_cells=False)
 
-    def fit(
-        self, workers: int, stages: Sequence[Stage], *, in_cells: bool, between: bool = False
-    ) -> None:
+    def fit(self, workers: int, stages: Sequence[Stage], *, in_cells: bool) -> None:
         """Allocate the arrays for the cells of a window.
 
         Args:
             workers: Number of workers.
             stages: Stages of forces on particles.
             in_cells: Whether the velocity changes in the cells are needed.
-            between: Whether forces act on the particles between two steps.
         """
         model, t = self._model, types(self._model.real)
-        self._between = between and in_cells
-        self._in_cells = self._between or (bool(stages) and in_cells)
+        self._in_cells = bool(stages) and in_cells
         self._works = bool(stages) and bool(self.sums)
         keeps = [self._in_cells or self._works, self._works]
         turns = self._works and not all(stage.keeps_C for stage in stages)
-        before = self._v
         self._v = [self._empty(t.vec3, keep) for keep in keeps]
-        if self._between:
-            kept = before[0] if len(before[0]) else wp.clone(self._state.v)
-            self._v[0] = kept
         self._C = [self._empty(t.mat33, turns) for _ in keeps]
         count = workers * self._cells.count if self._in_cells else 0
         self.gains = wp.zeros(count, dtype=t.vec4, device=model.device)
@@ -66,20 +57,6 @@ class Pushes:
     def keep(self, run: slice) -> list[Named]:
         """Return the launches that store a worker's velocities before forces act."""
         return self._copy(0, run)
-
-    def renew(self) -> None:
-        """Discard the velocity changes between two steps; call after setting velocities."""
-        if self._between:
-            wp.copy(self._v[0], self._state.v)
-
-    def snapshot(self) -> dict[str, wp.array]:
-        """Return the velocities before forces acted between two steps."""
-        return {"v": wp.clone(self._v[0])} if self._between else {}
-
-    def restore(self, snapshot: dict[str, Any]) -> None:
-        """Restore the velocities from a snapshot, whose arrays may be NumPy arrays."""
-        if self._between and "v" in snapshot:
-            self._v[0].assign(snapshot["v"])
 
     def _copy(self, index: int, run: slice) -> list[Named]:
         s = self._state

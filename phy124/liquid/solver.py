@@ -121,7 +121,7 @@ class LiquidSolver(Kept):
         self.within: Timings = {}
         """Timings of the bodies' substeps, which are a part of the liquid's steps."""
         self.bounds: StepRejection | None = None
-        """Bounds of the forces on particles in the bodies' substeps."""
+        """Bounds of the forces on the bodies."""
         solids = len(free) + (len(bodies.numbers) if bodies else 0)
         self.projection = Projection(model, count, solids)
         wet = sorted(self._whole.wet) or range(self._whole.bodies)
@@ -321,7 +321,6 @@ class LiquidSolver(Kept):
     def renew(self) -> None:
         """Measure all limits of a step again, after the state was changed from outside."""
         self._fit()
-        self._phases.pushes.renew()
         self._measure()
 
     def snapshot(self) -> dict[str, Any]:
@@ -330,7 +329,6 @@ class LiquidSolver(Kept):
             **super().snapshot(),
             # In the next step, viscosity acts before the pressure renews the motions of bodies.
             "motions": wp.clone(self.walls.motions),
-            "pushes": self._phases.pushes.snapshot(),
         }
 
     def restore(self, snapshot: dict[str, Any]) -> None:
@@ -342,7 +340,6 @@ class LiquidSolver(Kept):
         self._fitted = self.cells.count > 0
         if self._fitted:
             self._record()
-        self._phases.pushes.restore(snapshot["pushes"])
 
     def _seconds(self) -> float:
         return _sum_seconds(self.timings) + _sum_seconds(self.within)

@@ -28,7 +28,7 @@ from phy124.monitor.liquid import LiquidDissipation
 from phy124.monitor.liquid_work import LiquidWork
 from phy124.monitor.observer import Observer
 from phy124.monitor.pool_dissipation import ImmersedDissipation, MixedDissipation, PoolDissipation
-from phy124.monitor.pool_work import PoolWork
+from phy124.monitor.pool_work import MixedWork
 from phy124.monitor.sleep import Sleep
 from phy124.monitor.softening import Softening
 from phy124.monitor.tearing import Tearing
@@ -64,7 +64,7 @@ LIQUID_OBSERVERS = _replace({ExternalWork: LiquidWork})
 """Observers of a liquid with projected pressure, without other bodies."""
 POOL_OBSERVERS = _replace({ExternalWork: LiquidWork, LiquidDissipation: PoolDissipation})
 """Observers of a liquid with projected pressure that contains only freely moving solids."""
-MIXED_OBSERVERS = _replace({ExternalWork: PoolWork, LiquidDissipation: MixedDissipation})
+MIXED_OBSERVERS = _replace({ExternalWork: MixedWork, LiquidDissipation: MixedDissipation})
 """Observers of a liquid with projected pressure and particle bodies."""
 LATTICE_OBSERVERS: tuple[type[Observer], ...] = (
     LatticeMethod,

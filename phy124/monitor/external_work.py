@@ -148,6 +148,12 @@ class ExternalWork(Observer):
         self._liquid: Any = solver if solver.projects else None
         self._read_impulses()
 
+    def follow_pushes(self, solver: Any) -> None:
+        """Let a solver sum the impulse and work of forces on particles from now on."""
+        sums = wp.zeros((len(solver.workers), ROOM), dtype=wp.float64, device=solver.model.device)
+        self._device[MEAN_PUSH] = sums
+        solver.keep_pushes(sums)
+
     def change(self, scene: Scene) -> None:
         """Measure the walls of another scene from now on."""
         self._read_impulses()
@@ -351,6 +357,4 @@ class MeanWork(ExternalWork):
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
         """Connect the observer to the solver, which then sums the impulse and work of forces."""
         super().bind(solver, observers)
-        sums = wp.zeros((len(solver.workers), ROOM), dtype=wp.float64, device=solver.model.device)
-        self._device[MEAN_PUSH] = sums
-        solver.keep_pushes(sums)
+        self.follow_pushes(solver)

@@ -1,5 +1,7 @@
 """Adds stages to a substep that measure the effect of forces and boundaries."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -11,6 +13,7 @@ from phy124.boundaries.base import Corners, swept
 from phy124.kernels.reduction import along_rows
 from phy124.kernels.work import make_wall_copy
 from phy124.mpm import Attachable, Grid, Model, Stage, State
+from phy124.mpm.stage import divide_forces
 from phy124.mpm.tracks import Tracks
 
 
@@ -31,6 +34,10 @@ class Measured:
             return []
         before, *after = self._measure(stages, model, state)
         return [before, *stages, *after]
+
+    def in_part(self, part: Model, whole: Model) -> Measured:
+        """Return the measured forces for a part of a divided model (`Force.in_part`)."""
+        return Measured(divide_forces(self._inner, part, whole), self._measure)
 
 
 class NodesNear:

@@ -5,6 +5,7 @@ count the weight of the liquid as if nothing carried it. The work is summed once
 liquid.
 """
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 
 from phy124.monitor.external_work import Exchange, Sums
 from phy124.monitor.liquid_work import StepWork
+from phy124.monitor.observer import Observer
 from phy124.mpm import Clock
 
 
@@ -54,3 +56,15 @@ class PoolWork(StepWork):
         """Return the uniform acceleration [3] in the last substep, m/s^2."""
         values: NDArray[Any] = self._tracks.values.numpy()
         return values[0, :3].astype(np.float64)
+
+
+class MixedWork(PoolWork):
+    """External impulse and work on a liquid and particle bodies.
+
+    The liquid's solver sums the work of forces on the liquid.
+    """
+
+    def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
+        """Connect the observer to the solver, which then sums the impulse and work of forces."""
+        super().bind(solver, observers)
+        self.follow_pushes(solver.liquid)

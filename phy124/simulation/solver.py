@@ -166,9 +166,9 @@ def wrap(scene: Scene, observers: Sequence[Observer]) -> dict[str, Any]:
     if scene.immerses:
         return {**options, "boundaries": scene.boundaries, "walls": of_liquid}
     if scene.mixes:
-        uniform = [force for force in scene.acting if force.uniform]
-        acting = {"uniform": uniform, "pushed": len(uniform) < len(scene.acting)}
-        return {**options, **acting, "boundaries": walls, "walls": of_liquid}
+        return {
+            **options, "on_liquid": scene.acting, "boundaries": walls, "walls": of_liquid,
+        }  # fmt: skip
     if scene.couples:
         return {**options, "boundaries": walls, "uniform": scene.acting, "walls": scene.boundaries}
     return {**options, "boundaries": of_liquid if scene.projects else walls}

@@ -180,7 +180,7 @@ def _join(setting: Setting, water: Array, body: Array, material: NeoHookean) -> 
     named = {"material": number, "body": number, "wet": [0], "names": ("water", "body")}
     model = _model(setting, np.concatenate([water, body]), [WATER, material], **named)
     pull, walls = [Gravity()], [("tank", TANK)]
-    options = {"forces": pull, "uniform": pull, "boundaries": [TANK], "walls": walls}
+    options = {"forces": pull, "on_liquid": pull, "boundaries": [TANK], "walls": walls}
     return MixedSolver(model, State.of(model), **options, threads=1)
 
 
