@@ -255,6 +255,14 @@ def test_materials_are_named_by_their_law_and_bounded():
         Sand(friction_angle=80)
 
 
+@pytest.mark.parametrize(("angle", "channel"), [(30, 44), (35, 55)])
+def test_description_of_sand_states_its_angle_in_plane_strain(angle, channel):
+    sine = 3 / np.sqrt(2) * Sand(friction_angle=angle).theta()[-1]
+    assert np.degrees(np.arcsin(sine)) == pytest.approx(channel, abs=0.2)
+    text = Sand.model_fields["friction_angle"].description or ""
+    assert f"{angle}" in text and f"like {channel}" in text
+
+
 @pytest.mark.parametrize("material", LAWS, ids=name)
 def test_substeps_contain_no_singular_value_decomposition(material):
     for kernel in (
