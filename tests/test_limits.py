@@ -5,7 +5,7 @@ import math
 import pytest
 
 from phy124.budget.cost import Work, estimate, estimate_memory, largest_speed, rest_substeps
-from phy124.budget.limits import check_limits, duration, note_costs
+from phy124.budget.limits import check_limits, duration, note_scene
 from phy124.errors import InputError
 from phy124.particles import make_particles
 from phy124.scene import Scene
@@ -105,14 +105,14 @@ def test_clips_beyond_the_memory_are_refused(monkeypatch):
 def test_a_part_that_rules_the_substep_is_named():
     base = {"region": {"upper": [9, 9, 0.2]}, "material": {"law": "rigid", "speed": 3.0}}
     scene = Scene.named("push_right").replaced({"parts": [base], "material.E": 1e4})
-    (said,) = note_costs(scene)
+    (said,) = note_scene(scene)
     assert said.startswith("parts.0.material (rigid) is so stiff that it needs")
     assert "parts.0.static = true" in said
     notes = Simulation(prepare(ball(300), scene.replaced(QUICK))).report()["notes"]
     assert any(note.startswith("parts.0.material (rigid)") for note in notes)
     slower = scene.replaced({"parts.0.material.speed": 0.02})
-    assert note_costs(slower) == []
-    assert note_costs(Scene.named("drop")) == []
+    assert note_scene(slower) == []
+    assert note_scene(Scene.named("drop")) == []
 
 
 @pytest.mark.parametrize(
@@ -125,7 +125,7 @@ def test_a_part_that_rules_the_substep_is_named():
 )
 def test_motion_that_takes_many_substeps_is_noted_before_a_run(preset, size, force):
     scene = Scene.named(preset).replaced({"object.size": size, "forces": [force]})
-    (said,) = note_costs(scene)
+    (said,) = note_scene(scene)
     assert "times as many as at rest" in said and "smaller forces and speeds" in said
 
 
@@ -149,22 +149,38 @@ def test_largest_speed_counts_all_forces_and_walls(changes):
 def test_gentle_forces_are_not_called_slow():
     pull = {"kind": "attraction", "g": 3.0, "centre": [0, 0, 1], "radius": 0.3}
     forces = [{"kind": "wrench", "force": [200, 0, 0]}, {"kind": "gravity"}, pull]
-    assert note_costs(Scene.named("drop").replaced({"forces": forces})) == []
+    assert note_scene(Scene.named("drop").replaced({"forces": forces})) == []
 
 
 def test_liquid_by_projection_is_not_called_stiff():
     soft = {"law": "neo_hookean", "E": 1e4}
     toys = [{"name": name, "shape": "box", "size": 0.4, "material": soft} for name in "ab"]
     scene = Scene.from_data({"material": {"law": "fluid"}, "objects": toys})
-    assert scene.projects and note_costs(scene) == []
+    assert scene.projects and note_scene(scene) == []
 
 
 def test_only_compressible_liquids_are_called_stiff():
     oil = Scene.named("oil").replaced({"accuracy": "draft", "material.density": 1})
-    assert oil.projects and note_costs(oil) == []
-    (said,) = note_costs(oil.replaced({"accuracy.liquid": "compressible"}))
+    assert oil.projects and note_scene(oil) == []
+    (said,) = note_scene(oil.replaced({"accuracy.liquid": "compressible"}))
     assert said.startswith("material (fluid) is so stiff")
     assert "a smaller material.bulk_modulus makes" in said
+
+
+@pytest.mark.parametrize(
+    ("changes", "why"),
+    [
+        ({"contacts": True}, "forces of walls on single particles (contacts)."),
+        ({"view.outputs": ["force"]}, "forces of walls on single particles (view.outputs)."),
+        ({"binding": "particles"}, "binding is particles."),
+    ],
+)
+def test_note_names_the_setting_that_replaces_projection(changes, why):
+    scene = Scene.named("water")
+    assert note_scene(scene) == []
+    (note,) = note_scene(scene.replaced(changes))
+    assert f"{why} Waves" in note and "other objects sink and rise too slowly" in note
+    assert note_scene(scene.replaced({**changes, "accuracy.liquid": "compressible"})) == []
 
 
 @pytest.mark.parametrize("name", ["press", "sway"])

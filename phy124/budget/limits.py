@@ -21,6 +21,7 @@ from phy124.materials import AnyMaterial
 from phy124.particles import Particles
 from phy124.runtime.memory import MEMORY_FRACTION, free_memory
 from phy124.scene import Scene
+from phy124.scene.liquids import note_compressible
 
 MUCH_STIFFER = 3.0
 """If the ratio of the two largest wave speeds is larger, a note names the stiffest part."""
@@ -175,9 +176,10 @@ def _round(value: float) -> float:
     return float(f"{value:.2g}")
 
 
-def note_costs(scene: Scene) -> list[str]:
-    """Return notes about the causes of a long run time."""
-    return [note for note in (_note_stiffest_part(scene), _note_speed(scene)) if note]
+def note_scene(scene: Scene) -> list[str]:
+    """Return notes about the solver of a liquid, and about the causes of a long run time."""
+    notes = note_compressible(scene), _note_stiffest_part(scene), _note_speed(scene)
+    return [note for note in notes if note]
 
 
 def _note_speed(scene: Scene) -> str | None:

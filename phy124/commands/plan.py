@@ -11,7 +11,7 @@ from phy124.accuracy.choose import Goal, in_time
 from phy124.accuracy.companion import AFFORDABLE, ON_LATTICE
 from phy124.accuracy.goal import refuse_forecast
 from phy124.accuracy.promises import format_percent, promise
-from phy124.budget.limits import note_costs
+from phy124.budget.limits import note_scene
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
 from phy124.generators.options import Effort
@@ -87,7 +87,7 @@ def announce(scene: Scene, goal: Goal | None, device: str, *, as_json: bool) -> 
     cells = "" if goal is None else f"as many cells as {goal.text} needs"
     scene = choose_solver(scene, pick_device(device))
     print(f"scene: {summarise(scene, cells)}", flush=True)
-    for note in note_costs(scene):
+    for note in note_scene(scene):
         print(f"note: {note}", flush=True)
 
 
@@ -135,7 +135,7 @@ def predict(
         more = {
             "scene": scene.data(),
             "promise": asdict(promised),
-            "note": " ".join(note_costs(scene)) or None,
+            "note": " ".join(note_scene(scene)) or None,
         }
         print(json.dumps({**forecast.data(), **more}))
         return 0

@@ -30,8 +30,22 @@ def reason_for_compressible(scene: Any) -> str:
         return "binding is particles"
     if scene.properties is not None:
         return "it does not support materials that vary from point to point"
-    limits = [limit for _, _, limit in _obstacles(scene, mixes=scene.has_solids)]
-    return f"it does not support {limits[0]}" if limits else ""
+    for field, _, limit in _obstacles(scene, mixes=scene.has_solids):
+        return f"it does not support {limit} ({field})"
+    return ""
+
+
+def note_compressible(scene: Any) -> str | None:
+    """Return a note if a setting other than `accuracy.liquid` makes the liquid compressible."""
+    fluid = any(section.law == "fluid" for section in scene.materials)
+    if not fluid or scene.projects or scene.resolution.liquid is not None:
+        return None
+    return (
+        f"Pressure projection is not used for the liquid: {reason_for_compressible(scene)}. Waves "
+        "of a compressible liquid are too high, and other objects sink and rise too slowly in it "
+        "(in a test, a block of metal sank 0.17 m within 1 s, with projection 0.46 m). To use "
+        "projection, change this setting."
+    )
 
 
 def keep_solver(scene: Any, before: Any) -> Any:

@@ -94,7 +94,9 @@ class Scene(Section):
     velocities: bool = False
     """Store the velocity of each Gaussian; if off, speeds are computed from positions."""
     contacts: bool = False
-    """Store the mean force of the walls on each Gaussian; on if the output `force` is requested."""
+    """Store the mean force of the walls on each Gaussian; on if the output `force` is requested.
+    Liquids are then compressible.
+    """
     wrenches: bool = False
     """Store force and torque of the object on each wall; on if `contacts` is on."""
     grains: bool = True

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from phy124.budget.effects import Effects
-from phy124.budget.limits import note_costs
+from phy124.budget.limits import note_scene
 from phy124.io.clip import Clip
 from phy124.monitor.sleep import Sleep
 from phy124.mpm.timestep import CFL, beside_elastic
@@ -124,7 +124,7 @@ def _notes(run: Run) -> list[str]:
         *bodies.notes(scene),
         *overlap.notes(scene, run.solver.model),
         *_cfl_note(run),
-        *note_costs(scene),
+        *note_scene(scene),
         *_unregistered_notes(scene.unregistered),
         *(note for observer in run.observers for note in observer.notes()),
         *run.remarks,
