@@ -205,6 +205,21 @@ def test_wrenches_and_works_on_held_points_balance():
     assert rows[:, WORK].sum() == pytest.approx(of_walls, rel=1e-12)
 
 
+@pytest.mark.parametrize(("place", "radius"), [(0.4, 0.4), (0.4, 1.3), (0.45, 0.45)])
+def test_cylinder_of_about_a_cell_holds_a_block(place, radius):
+    """The axis of the clamp is at a corner of cells, or at a node; the radius is in cells."""
+    low, high = place - radius * DX, place + radius * DX
+    clamp = Held(lower=(low, -1, low), upper=(high, 1, high), cylinder="y")
+    thick, pull = SOFT.model_copy(update={"damping": 2000.0}), Gravity(g=(0, 0, -2.0))
+    solver = make(block((0.8, 0.4, 0.8)), thick, forces=[pull], boundaries=[clamp])
+    solver.advance(0.4)
+    before = solver.walls.sums.numpy()[0].copy()
+    solver.advance(0.8)
+    force = (solver.walls.sums.numpy()[0] - before)[IMPULSE + 2] / 0.4
+    assert force == pytest.approx(256 * 2.0, rel=0.02)
+    assert np.abs(solver.state.x.numpy() - solver.model.rest).max() < 0.4 * DX
+
+
 def test_clamp_takes_impulses_between_bodies():
     solids = [block((0.3, 0.3, 0.3)), block((0.2, 0.3, 0.3), low=(-0.1, 0.3, 0))]
     moving = [(0, 0, 0), (0, -0.3, 0)]
@@ -296,6 +311,17 @@ def test_note_names_walls_between_which_there_is_too_little_space(contact):
         assert depth == pytest.approx((x[held, 2].max() - low) / surface.dx, abs=1e-3)
         assert len(messages) == 1 and "0.9 cells inside half_space" in messages[0]
         assert "half_space and sphere" in messages[0]
+
+
+@pytest.mark.parametrize(("solver", "effect"), [("lattice", "1.5 cells thick"), ("mpm", "no grid")])
+def test_note_names_a_clamp_that_is_too_thin_for_the_grid(solver, effect):
+    clamp = {"kind": "held", "lower": [-1, -1, 0.45], "upper": [1, 1, 0.55]}
+    data = {"material": {"law": "neo_hookean"}, "forces": [], "time": {"frames": 2}}
+    grid = {"accuracy": {"cells": 8, "solver": solver}, "boundaries": [clamp]}
+    scene = Scene.from_data({**data, **grid})
+    report = Simulation(prepare(surface_of_ball(100), scene, RunContext(threads=1))).run().report
+    (note,) = (note for note in report["notes"] if "The held is 0.8 cells thick" in note)
+    assert effect in note
 
 
 @pytest.mark.parametrize("clamped", [True, False])

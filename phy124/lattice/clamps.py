@@ -6,6 +6,7 @@ opposite direction to its free neighbour, so that the interpolated motion vanish
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any, cast
 
@@ -26,6 +27,10 @@ from phy124.mpm.tracks import STILL, Tracks
 HELD = 0.5
 """Distance from the clamp's surface [cells] up to which a clamped node moves opposite to its free
 neighbour. Nodes farther inside the clamp do not move.
+"""
+THINNEST = 0.75
+"""Smallest depth of a clamp below all its surfaces [cells]. A thinner clamp holds as if it were as
+thick, because it might contain no node, or nodes about which the material could turn.
 """
 INSET = 0.2
 """Depth inside a clamp at which the motion of the material is set to zero [cells]. A B-spline that
@@ -63,14 +68,14 @@ class Clamp:
         self._model, self._nodes, self._tracks, self._sums = model, nodes, tracks, sums
         self._row, self._holder = row, holder
         self.slot = tracks.add(part.track(model) or STILL)
-        far = distances(part, model, lattice.x)
-        far[:, 3] += INSET * model.dx
-        self.held = np.flatnonzero(
-            (far[:, 3] < -HELD * model.dx) & acts_on(part, model, lattice.body)
-        )
-        """Indices of the nodes that lie inside the clamp."""
-        self.pairs, ratios = pins(lattice, far, acts_on(part, model, lattice.body))
+        step, depth = columns_of(part, model, lattice.x)
+        affected = acts_on(part, model, lattice.body)
+        middle = np.flatnonzero(affected & (np.abs(depth) <= HELD))
+        self.pairs, ratios = pins(lattice, middle, step[middle], depth[middle])
         """Pairs of neighbouring nodes at the clamp's surface: inside and outside [K,2]."""
+        single = np.setdiff1d(middle[depth[middle] > 0], self.pairs[:, 0])
+        self.held = np.union1d(np.flatnonzero(affected & (depth > HELD)), single)
+        """Indices of the nodes that lie inside the clamp."""
         self._ratios = model.array(ratios, model.real)
         self.nodes = np.concatenate([self.held, self.pairs.ravel()])
         """Indices of the nodes whose velocities the clamp changes."""
@@ -140,30 +145,46 @@ class PassedOn:
         return cast("wp.Launch", self._model.launch(kernel, max(1, len(near)), inputs, outputs))
 
 
-def pins(
-    lattice: RestLattice, far: NDArray[np.float64], affected: NDArray[np.bool_]
+def columns_of(
+    part: Any, model: Model, x: NDArray
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Return the last clamped node and the first free node of each column of nodes that enters a
-    clamp [K,2], and the ratios of the motions of the two nodes [K].
+    """Return the step from each node to the next node on the shortest way out of a clamp [N,3], and
+    the depth of the node below the clamp's surface along this way [N], cells.
+
+    If the next node is inside as well, the depth is 1.
+    """
+    inset = INSET - max(0.0, THINNEST - thickness_of(part, model) / 2 / model.dx)
+    far = distances(part, model, x)
+    axis, each = np.argmax(np.abs(far[:, :3]), axis=1), np.arange(len(x))
+    step = np.zeros((len(x), 3), np.int64)
+    step[each, axis] = np.where(far[each, axis] < 0, -1, 1)
+    lean = np.maximum(np.abs(far[each, axis]), 1e-3)
+    here, ahead = (
+        distance[:, 3] / model.dx + inset
+        for distance in (far, distances(part, model, x + model.dx * step))
+    )
+    inside = np.where(ahead > 0, here / np.minimum(here - ahead, -1e-9), 1.0)
+    return step, np.where(here <= 0, inside, -here / lean)
+
+
+def pins(
+    lattice: RestLattice, middle: NDArray, step: NDArray, depth: NDArray
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Return pairs of the last clamped node and the first free node of a column [K,2], and the
+    ratios of the motions of the two nodes [K].
 
     Args:
         lattice: The lattice at rest.
-        far: Normal of the clamp at each node, and distance of the node from the clamp [N,4].
-        affected: For each node, whether the clamp acts on the body of the node [N].
+        middle: The last clamped node of each column [M].
+        step: Step from this node to the next node of the column [M,3].
+        depth: Depth of the last clamped node below the surface of the clamp [M], cells.
     """
-    axis = np.argmax(np.abs(far[:, :3]), axis=1)
-    lean = np.take_along_axis(far[:, :3], axis[:, None], axis=1)[:, 0]
-    across = np.maximum(np.abs(lean), 1e-3) * lattice.dx
-    middle = np.flatnonzero((np.abs(far[:, 3] / across) <= HELD) & affected)
-    step = np.zeros((len(middle), 3), np.int64)
-    step[np.arange(len(middle)), axis[middle]] = np.sign(lean[middle]).astype(np.int64)
     front = lattice.step_from(middle, step)
-    # A node may be the first free node of only one column, so that no two threads write to it.
-    present = np.flatnonzero(front >= 0)
+    # A node may be in only one pair, so that no two threads write to it.
+    present = np.flatnonzero((front >= 0) & ~np.isin(front, middle))
     _, first = np.unique(front[present], return_index=True)
     chosen = present[first]
-    offset = 1 + far[middle[chosen], 3] / across[middle[chosen]]
-    weights = splines(offset)
+    weights = splines(1 - depth[chosen])
     return np.stack([middle[chosen], front[chosen]], axis=1), -weights[:, 0] / weights[:, 1]
 
 
@@ -178,6 +199,14 @@ def slots_at(
     slots = [np.where(inside, slot, -1) for slot, inside in among if inside.any()]
     columns = np.stack(slots, axis=1) if slots else np.zeros((len(nodes), 0))
     return wp.array(columns.astype(np.int32), dtype=int, ndim=2, device=device)
+
+
+def thickness_of(part: Any, model: Model) -> float:
+    """Return the smallest thickness of a clamp [m]; infinite if the clamp is a half space."""
+    if part.outline() == "half_space":
+        return math.inf
+    centre = np.array([part.geometry(model)[0]])
+    return -2 * float(distances(part, model, centre)[0, 3])
 
 
 def acts_on(part: Any, model: Model, body: NDArray[np.int64]) -> NDArray[np.bool_]:

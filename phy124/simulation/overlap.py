@@ -102,14 +102,31 @@ def refuse_buried(scene: Scene, model: Model) -> None:
 
 
 def notes(scene: Scene, model: Model) -> list[str]:
-    """Return a note for each boundary that contains some material at the start."""
+    """Return a note for each boundary that contains some material at the start, and for each clamp
+    that is too thin for the grid.
+    """
+    from phy124.lattice.clamps import THINNEST, thickness_of
+
     after = {
         True: "is pushed out, which supplies energy. Move the wall or the object (place, lift).",
         False: "stays there.",
     }
+    effect, least = "it may contain no grid node, and then holds nothing", 1.0
+    if scene.on_lattice:
+        effect, least = (
+            f"it holds material as if it were {2 * THINNEST:g} cells thick",
+            2 * THINNEST,
+        )
+    clamps = [
+        (wall.kind, thickness_of(wall, model) / model.dx) for wall in scene.boundaries if wall.holds
+    ]
     return [
         f"The {wall.kind}: {wall.what}, and {after[wall.on_lattice]}"
         for wall in find_buried(scene, model)
+    ] + [
+        f"The {kind} is {thickness:.2g} cells thick: {effect}. Use more cells, or enlarge it."
+        for kind, thickness in clamps
+        if thickness < least
     ]
 
 
