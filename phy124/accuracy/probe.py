@@ -12,7 +12,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from phy124.accuracy.stages import Stages, average_stages, predict_substep
+from phy124.accuracy.stages import Growth, Stages, average_stages, predict_substep, timings_of
 from phy124.boundaries.base import THINNEST
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
@@ -21,7 +21,7 @@ from phy124.kernels.arguments import types
 from phy124.monitor.softening import Softening
 from phy124.monitor.watchdog import Watchdog
 from phy124.motion.deform import Deformer
-from phy124.mpm import Solver, Unstable
+from phy124.mpm import Clock, Solver, Unstable
 from phy124.mpm.workers import HOST
 from phy124.runtime.compiling import is_compiled
 from phy124.runtime.context import RunContext
@@ -112,8 +112,8 @@ def _seconds_per_substep(
         return _seconds_in_graph(solver, after), 0.0, solver.grid.count
     each, stages = _time_substeps(simulation, after)
     if pilot is not None and pilot.stages:
-        finer = pilot.dx / solver.model.dx
-        each = predict_substep(pilot.stages, pilot.resting, stages, finer)
+        growth = pilot.growth_to(simulation.scene.resolution.cells, pilot.dx / solver.model.dx)
+        each = predict_substep(pilot.stages, pilot.resting, stages, growth)
     return each, _node_fraction(solver), solver.grid.count
 
 
@@ -125,9 +125,11 @@ def _time_substeps(
     each = min(measure_time(lambda: _advance(solver, 2, after)) / 2 for _ in range(2))
     _clear_timings(solver)
     before, count = solver.clock.substeps, int(np.clip(LONGEST_PROBE / each, MIN_PROBE, PROBE))
+    if _is_liquid(solver):
+        count = MIN_PROBE  # a liquid's whole motion may take 20 steps
     seconds = measure_time(lambda: _advance(solver, count, after))
     taken = solver.clock.substeps - before
-    return seconds / taken, average_stages(simulation.timings, taken, seconds)
+    return seconds / taken, average_stages(timings_of(solver), taken, seconds)
 
 
 def _seconds_in_graph(solver: AnySolver, after: Callable[[], None] | None) -> float:
@@ -155,7 +157,7 @@ def _run_empty_frame(simulation: Simulation) -> None:
 
 def _clear_timings(solver: AnySolver) -> None:
     """Clear the times of a solver, and of the solvers that it contains."""
-    for part in (solver, *(getattr(solver, name, None) for name in ("lattice", "liquid"))):
+    for part in _list_solvers(solver, "lattice", "liquid"):
         for worker in getattr(part, "workers", ()):
             worker.timings.clear()
 
@@ -218,6 +220,10 @@ def seconds_to_compile(scene: Scene, device: str = "cpu") -> float:
     return max(sum(seconds) / cores(), max(seconds, default=0.0))
 
 
+SPLASH = 1.2
+"""Exponent of the cells in the number of steps of a liquid, whose splashes are faster on finer
+grids.
+"""
 CELLS = 16
 """Cells across the object in the pilot run."""
 EXCESS = 0.8
@@ -248,6 +254,8 @@ class Pilot:
     """Factor on Young's modulus in each frame [T]."""
     excess: float = EXCESS
     """See `EXCESS`."""
+    hastens: float = 1.0
+    """Exponent of the cells in the number of substeps that speed limits."""
     dx: float = 1.0
     """Side of a cell [m]."""
     resting: Stages = field(default_factory=dict)
@@ -258,6 +266,8 @@ class Pilot:
     """Whether all objects are on lattices."""
     seconds: float = 0.0
     """Duration with preparation, but without the trial at rest [s]."""
+    steps: dict[str, NDArray[np.float64]] = field(default_factory=dict)
+    """Steps of a liquid among other bodies, in the form of `counts`."""
 
     def substeps(self, cells: int, rest: float | None = None) -> tuple[int, dict[str, float]]:
         """Predict the number of substeps on another grid, and the fraction that each limit
@@ -270,8 +280,8 @@ class Pilot:
         counts = {
             **self.counts,
             "elastic": more * (at_rest + excess * scale**self.excess),
-            "speed": self.counts["speed"] * scale,
-            "wave": self.counts.get("wave", np.zeros_like(at_rest)) * np.sqrt(scale),
+            "speed": self.counts["speed"] * scale**self.hastens,
+            "wave": self.counts.get("wave", np.zeros_like(at_rest)) * scale**SPLASH,
         }
         others = np.sum([n for name, n in counts.items() if name != "viscous"], axis=0)
         is_viscous = others < self.viscous * scale**2
@@ -281,6 +291,18 @@ class Pilot:
         whole = float(total.sum()) or 1.0
         fractions = {name: float(n.sum()) / whole for name, n in counts.items() if n.any()}
         return int(np.ceil(total - 1e-9).sum()), fractions
+
+    def growth_to(self, cells: int, finer: float) -> Growth:
+        """Return the ratios of a run on another grid, with cells that are `finer` times smaller, to
+        the pilot run.
+        """
+        substeps = self.substeps(cells)[0] / max(self.substeps(self.cells)[0], 1)
+        of_liquid = [
+            np.ceil(sum(n * scale**SPLASH for n in self.steps.values()) - 1e-9)
+            for scale in (1.0, cells / self.cells)
+        ]
+        before, after = (float(np.sum(steps)) for steps in of_liquid)
+        return Growth(finer, substeps, after / before if self.steps else substeps)
 
 
 def coarsen(scene: Scene, cells: int = CELLS) -> Scene:
@@ -333,6 +355,8 @@ def run_pilot(
     solver, timing = simulation.solver, scene.time
     softening = simulation.find(Softening)
     counts = {name: np.zeros(timing.frames - 1) for name in LIMITERS}
+    parts = _list_solvers(solver)
+    tallies: list[dict[str, NDArray[np.float64]]] = [counts, {}]
     factors = scene.softnesses(np.arange(timing.frames - 1) / timing.fps)
     nodes, rest, trial, spent = [], 0.0, 0.0, 0.0
     stopped, resting, stages = False, {}, {}
@@ -343,18 +367,18 @@ def run_pilot(
         rest = substeps_at_rest(solver) / timing.fps
         _clear_timings(solver)  # Removes the limits of the first substep, which has no duration.
         for frame in range(timing.frames - 1):
-            before = dict(solver.clock.needed)
+            before = [dict(part.clock.needed) for part in parts]
             if softening is not None:
                 softening.follow(float(factors[frame]))
             spent += measure_time(lambda frame=frame: solver.advance((frame + 1) / timing.fps))
-            for name, needed in solver.clock.needed.items():
-                counts[name][frame] = needed - before.get(name, 0.0)
+            for part, tally, earlier in zip(parts, tallies, before, strict=False):
+                _count_needed(part.clock, earlier, tally, frame, timing.frames)
             nodes.append(solver.grid.count)
     except Unstable:
         stopped = True
     growth = float(np.mean(nodes) / nodes[0]) if nodes else 1.0
     if resting and solver.clock.substeps > 1:
-        stages = average_stages(simulation.timings, solver.clock.substeps - 1, spent)
+        stages = average_stages(timings_of(solver), solver.clock.substeps - 1, spent)
     made = Pilot(
         cells,
         counts,
@@ -367,10 +391,24 @@ def run_pilot(
         stages=stages,
         on_lattice=_on_lattice(solver),
         seconds=time.perf_counter() - start - trial,
+        steps=tallies[1],
+        hastens=SPLASH if _is_liquid(solver) else 1.0,
     )
     if made.on_lattice:
         return replace(made, excess=ON_LATTICE)
     return replace(made, viscous=1 / (solver.clock.viscous * timing.fps))
+
+
+def _count_needed(
+    clock: Clock,
+    before: dict[str, float],
+    counts: dict[str, NDArray[np.float64]],
+    frame: int,
+    frames: int,
+) -> None:
+    """Store the substeps that each limit required in a frame."""
+    for name, needed in clock.needed.items():
+        counts.setdefault(name, np.zeros(frames - 1))[frame] = needed - before.get(name, 0.0)
 
 
 def _stages_at_rest(simulation: Simulation) -> Stages:
@@ -392,6 +430,17 @@ def substeps_at_rest(solver: AnySolver) -> float:
     clock = solver.clock
     elastic = clock.cfl * clock.elastic_limit * solver.model.dx
     return max(of_lattices, math.sqrt(clock.extremes.stiffness) / elastic)
+
+
+def _list_solvers(solver: AnySolver, *names: str) -> list[Any]:
+    """Return a solver, and the named solvers that it contains; without names, that of a liquid."""
+    parts = (getattr(solver, name, None) for name in names or ("liquid",))
+    return [solver, *(part for part in parts if part is not None)]
+
+
+def _is_liquid(solver: AnySolver) -> bool:
+    """Return whether all material is a projected liquid."""
+    return solver.projects and not hasattr(solver, "liquid")
 
 
 def _on_device(solver: AnySolver) -> bool:

@@ -6,12 +6,14 @@ substeps, at rest. The duration of a call at rest is measured on the final grid,
 """
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from phy124.mpm.workers import Timings
+from phy124.mpm.workers import WINDOW, Timings
 
 WAIT, OTHER = "wait", "other"
 """Names of two stages: waiting for other threads, and all time outside the other stages."""
+LIQUID = "liquid, "
+"""Prefix of the names of stages that belong to the steps of a projected liquid."""
 
 
 class Stage(NamedTuple):
@@ -26,6 +28,25 @@ class Stage(NamedTuple):
 Stages = Mapping[str, Stage]
 
 
+class Growth(NamedTuple):
+    """Ratios of the run to the pilot run."""
+
+    cells: float
+    """Ratio of the cells across the object."""
+    substeps: float = 1.0
+    """Ratio of the numbers of substeps."""
+    steps: float = 1.0
+    """Ratio of the numbers of steps of a projected liquid."""
+
+
+def timings_of(solver: Any) -> Timings:
+    """Return the times of all stages of a solver, also of the solver of its liquid."""
+    liquid = getattr(solver, "liquid", solver if solver.projects else None)
+    of_liquid = {} if liquid is None else liquid.timings
+    named = {LIQUID + name: times for name, times in of_liquid.items()}
+    return named if liquid is solver else {**solver.timings, **named}
+
+
 def average_stages(timings: Timings, substeps: int, total: float) -> dict[str, Stage]:
     """Return the calls per substep and the time of a call of each stage.
 
@@ -37,18 +58,18 @@ def average_stages(timings: Timings, substeps: int, total: float) -> dict[str, S
     return {**stages, OTHER: Stage(1.0, max(total / taken - inside, 0.0))}
 
 
-def predict_substep(moving: Stages, resting: Stages, probe: Stages, finer: float) -> float:
+def predict_substep(moving: Stages, resting: Stages, probe: Stages, growth: Growth) -> float:
     """Predict the mean time of a substep in a run [s].
 
-    A call takes as many times longer in motion as in the pilot run, but at least `finer` times as
-    long as in the pilot run, because the number of surface points along a line is proportional to
-    the number of cells: at rest, the objects may not touch.
+    A call takes as many times longer in motion as in the pilot run, but at least `growth.cells`
+    times as long as in the pilot run, because the number of surface points along a line is
+    proportional to the number of cells: at rest, the objects may not touch.
 
     Args:
         moving: The stages of the whole motion on a coarse grid.
         resting: The stages of a few substeps at rest on the coarse grid.
         probe: The stages of a few substeps at rest on the run's grid.
-        finer: Cells on the run's grid, relative to the coarse grid.
+        growth: Ratios of the run to the pilot run.
     """
     waiting = probe.get(WAIT, Stage(0.0, 0.0))
     seconds = waiting.calls * waiting.seconds
@@ -57,6 +78,32 @@ def predict_substep(moving: Stages, resting: Stages, probe: Stages, finer: float
             continue
         at_rest = probe.get(name, Stage(0.0, 0.0)).seconds
         before = resting.get(name, Stage(0.0, 0.0)).seconds
+        if name.startswith(LIQUID):
+            seconds += _calls_in_liquid(name, calls, growth) * _time_in_liquid(
+                each, before, at_rest, growth.cells
+            )
+            continue
         slower = each / before if before > 0 and name != OTHER else 1.0
-        seconds += calls * max(finer * each, slower * at_rest)
+        seconds += calls * max(growth.cells * each, slower * at_rest)
     return seconds
+
+
+def _calls_in_liquid(name: str, calls: float, growth: Growth) -> float:
+    """Return the calls per substep; a liquid that spreads reaches the border of its window after a
+    number of cells.
+    """
+    grown = growth.cells if name == LIQUID + WINDOW else growth.steps
+    return calls * grown / growth.substeps
+
+
+def _time_in_liquid(moving: float, resting: float, at_rest: float, finer: float) -> float:
+    """Return the time of a call [s]: a constant, plus a time proportional to the cells of the
+    liquid's window. The times at rest on both grids determine the constant. If they are unknown,
+    the time is assumed to be proportional to the area of the window.
+    """
+    if resting == 0 or at_rest == 0:
+        return moving * finer**2
+    more = max(finer**3, at_rest / resting)
+    fixed = (more * resting - at_rest) / (more - 1) if more > 1 else 0.0
+    fixed = min(fixed, moving)
+    return fixed + (moving - fixed) * more

@@ -448,9 +448,11 @@ class LiquidSolver(Kept):
         sums = launches([(stage.name, stage.record(self.grid)) for stage in self._sums])
         self._ending = [("walls", self.impulses.settle), *sums]
         self.cells.clear_walls()
+        # The times are a part of the stage `WINDOW`.
         for phase in self._phases.group("walls"):
             for worker in self.workers:
-                worker.run(phase)
+                for _, launch in worker.phases[phase]:
+                    launch()
         self.walls.time = math.nan
         if self.walls.move:
             self.cells.keep_walls()
