@@ -110,9 +110,12 @@ class Meetings(Kept):
         self._place.launch()
         x: NDArray[Any] = self._x.numpy()
         bodies = [x[index].astype(np.float64) for index in self._bodies]
-        boxes = [(part.min(axis=0), part.max(axis=0)) if len(part) else None for part in bodies]
         for meeting in self.of_bodies:
             meeting.follow(bodies[meeting.bodies[0]])
+        boxes = [
+            (part.min(axis=0), part.max(axis=0)) if len(part) and self.of_pairs else None
+            for part in bodies
+        ]
         for meeting in self.of_pairs:
             a, b = (boxes[body] for body in meeting.bodies)
             if a is None or b is None:
