@@ -237,7 +237,17 @@ def stage(
         arguments = [here, slot, *inputs, tracks.clock, tracks.values, *read]
         return model.launch(kernel, len(here), arguments, [state.v])
 
-    return [Stage(name, record, force.sudden, force.in_newtons, keeps_C=True, by_run=True)]
+    points = indices_of(chosen)
+    return [
+        Stage(
+            name, record, force.sudden, force.in_newtons, keeps_C=True, by_run=True, points=points
+        )
+    ]
+
+
+def indices_of(chosen: wp.array) -> NDArray[np.int64]:
+    """Return the particle indices in an array on a device."""
+    return np.asarray(chosen.numpy(), np.int64)
 
 
 def within(chosen: wp.array, run: slice) -> wp.array:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from phy124.errors import InputError
-from phy124.forces.base import Force, of_object
+from phy124.forces.base import Force, indices_of, of_object
 from phy124.kernels import forces as kernels
 from phy124.kernels.reduction import shared_out
 from phy124.mpm import Grid, Model, Stage, State
@@ -103,6 +103,11 @@ class Part(NamedTuple):
             total * float(max(moments.min(), 1e-6 * np.trace(second))),
         )
 
+    @property
+    def points(self) -> NDArray[np.int64]:
+        """Indices of the particles."""
+        return indices_of(self.chosen)
+
     def track_centre(
         self, name: str, slot: int, model: Model, state: State, tracks: Tracks, *, turned: bool
     ) -> Iterator[Stage]:
@@ -129,10 +134,8 @@ class Part(NamedTuple):
             read = [*parted, self.chosen, self.share, slot, tracks.values, state.x, self.means]
             return model.launch(kernels.make_second(real), count, read, [self.second])
 
-        yield Stage(name, forget, keeps_C=True)
-        yield Stage(name, centre, keeps_C=True)
-        if turned:
-            yield Stage(name, second, keeps_C=True)
+        for record in (forget, centre, *([second] if turned else [])):
+            yield Stage(name, record, keeps_C=True, points=self.points)
 
 
 class Grab(Force):
@@ -200,7 +203,8 @@ class Grab(Force):
             return self.strength / part.mass if tracks.tracks[slot].acts(start, end) else 0.0
 
         stages = part.track_centre(self.kind, slot, model, state, tracks, turned=False)
-        return [*stages, Stage(self.kind, record, keeps_C=True, limit=limit)]
+        pull = Stage(self.kind, record, keeps_C=True, limit=limit, points=part.points)
+        return [*stages, pull]
 
 
 MARGIN = 2.0
@@ -253,7 +257,7 @@ class WrenchForce(Force):
             turning = MARGIN * part.reach / part.inertia if part.inertia else 0.0
             return pushed + turning * tracks.tracks[turn].largest(start, end)
 
-        stage = Stage(self.kind, record, keeps_C=True, limit=limit)
+        stage = Stage(self.kind, record, keeps_C=True, limit=limit, points=part.points)
         if not turned:
             return [stage]
         stages = part.track_centre(self.kind, turn, model, state, tracks, turned=True)

@@ -12,7 +12,7 @@ from typing import Any, ClassVar, Literal
 import warp as wp
 from pydantic import Field, model_validator
 
-from phy124.forces.base import Force, push, stage, within
+from phy124.forces.base import Force, indices_of, push, stage, within
 from phy124.kernels import forces as kernels
 from phy124.kernels.arguments import types
 from phy124.mpm import Grid, Model, Stage, State
@@ -154,4 +154,5 @@ class SetVelocity(Force):
             inputs = [here, slot, *motion, tracks.values, state.x]
             return model.launch(kernel, len(here), inputs, [state.v, state.C])
 
-        return [Stage("set_velocity", record, self.sudden, by_run=True)]
+        points = indices_of(chosen)
+        return [Stage("set_velocity", record, self.sudden, by_run=True, points=points)]

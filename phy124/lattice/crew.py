@@ -12,6 +12,7 @@ from typing import Any, cast
 
 import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
 from phy124.kernels.arguments import sparse, types
 from phy124.kernels.lattice import nodes as node_kernels
@@ -21,6 +22,7 @@ from phy124.kernels.lattice.stress import MAXIMA, make_lattice_measure, make_sho
 from phy124.kernels.lattice.work import PUSHED, STRESS, make_node_work, make_push_work
 from phy124.kernels.launches import reader
 from phy124.kernels.reduction import shared_out
+from phy124.lattice.reach import find_reach
 from phy124.lattice.rest import RestLattice
 from phy124.lattice.walls import Nodes
 from phy124.lattice.workers import MEASURE, PLACE, Worker
@@ -97,7 +99,7 @@ class Crew:
         self.no_pull = wp.zeros(1, dtype=t.vec4, device=device)
         """A uniform acceleration of zero, for launches without gravity."""
         self._middle = wp.zeros_like(nodes.u)
-        """Velocities that a kernel writes and nothing reads [N,3]."""
+        """Velocities between two kicks of a substep, or before a kick of chosen nodes [N,3]."""
         self._unread = wp.zeros(MAXIMA, dtype=model.real, device=device)
         self.measuring = all(self.vectors(g) and is_viscous(g, model) for g in model.groups)
         """Whether the stress kernels measure the largest speed and strain rate in every substep."""
@@ -122,17 +124,24 @@ class Crew:
         matrix.weights = model.array(ties.data, model.real)
         return matrix
 
+    def reach(self, points: NDArray[np.int64] | None) -> None:
+        """Set the indices of the points on which forces act from now on; None: all points."""
+        reached = find_reach(points, self._lattice, self.workers, self._model.device)
+        for worker, reach in zip(self.workers, reached, strict=True):
+            worker.reach = reach
+
     def locate(self, worker: Worker) -> list[Named]:
         """Return the launch that computes x and v of a worker's points, before forces act."""
-        nodes, state, span, model = self.nodes, self._state, worker.points, self._model
+        nodes, state, model, points = self.nodes, self._state, self._model, worker.reach.points
         outputs = [state.x, state.v, self._kept]
-        if self._vectors and span.stop > span.start:
+        if self._vectors and len(points):
             motion, kernel = [self._rest, nodes.u, nodes.v], simd.make_locate_simd()
-            launch = self._over_blocks(kernel, span, [model.dx], motion, outputs)
+            span, cells = worker.points, worker.reach.cells
+            launch = self._over_blocks(kernel, span, [model.dx], motion, outputs, cells)
             return launches([("locate", launch)])
-        inputs = [span.start, self._rows, self._offset, self._rest, nodes.u, nodes.v]
+        inputs = [points, self._rows, self._offset, self._rest, nodes.u, nodes.v]
         kernel = point_kernels.make_locate(model.real)
-        return launches([("locate", model.launch(kernel, span.stop - span.start, inputs, outputs))])
+        return launches([("locate", model.launch(kernel, len(points), inputs, outputs))])
 
     def force(self, worker: Worker, pushes: Tracks | None = None) -> list[Named]:
         """Return the kernel launches that sum the forces of a worker's points on the nodes.
@@ -252,36 +261,51 @@ class Crew:
 
         The sums `out` are in the order of phy124/kernels/work.py.
         """
-        nodes, span, model = self.nodes, worker.nodes, self._model
-        count = span.stop - span.start
-        threads, *fraction = shared_out(count, model.device)
-        inputs = [*fraction, count, span.start, nodes.inverse, self._pushes, self._spans]
+        nodes, model, chosen = self.nodes, self._model, worker.reach.nodes
+        threads, *fraction = shared_out(len(chosen), model.device)
+        inputs = [*fraction, chosen, nodes.inverse, self._pushes, self._spans]
         inputs += [self._push_donors, tracks.clock, nodes.before, nodes.v]
         return launches(
             [("work", model.launch(make_push_work(model.real), threads, inputs, [out]))]
         )
 
     def _push(self, worker: Worker, tracks: Tracks) -> Recorded:
-        span, state = worker.points, self._state
-        inputs = [span.start, worker.touched.start, self._model.mass, tracks.clock, self._rows]
+        points, state = worker.reach.points, self._state
+        inputs = [points, worker.touched.start, self._model.mass, tracks.clock, self._rows]
         inputs += [self._offset, state.v, self._kept]
         kernel = point_kernels.make_push(self._model.real)
-        launch = self._model.launch(kernel, span.stop - span.start, inputs, [worker.pushes])
+        launch = self._model.launch(kernel, len(points), inputs, [worker.pushes])
         return "push", launch
 
     def _over_blocks(
-        self, kernel: Any, span: slice, constants: list[Any], motion: Sequence[Any], outputs: list
+        self,
+        kernel: Any,
+        span: slice,
+        constants: list[Any],
+        motion: Sequence[Any],
+        outputs: list[Any],
+        cells: NDArray[np.int64] | None = None,
     ) -> wp.Launch | None:
-        if (span.start, span.stop) not in self._blocks:
-            device = self._model.device
-            volume = np.asarray(self._model.volume.numpy(), np.float64)[span]
-            blocks = simd.pack(self._lattice.offset[span], volume, span.start // PER_CELL)
-            order = wp.array(blocks.order.ravel(), dtype=int, device=device)
-            packed = wp.array(blocks.packed.ravel(), dtype=wp.float32, device=device)
-            self._blocks[span.start, span.stop] = blocks.full, order, packed
-        full, order, packed = self._blocks[span.start, span.stop]
+        """Record a launch over the blocks of some cells; None: the cells with points in `span`."""
+        if cells is not None:
+            blocks = self._pack(cells)
+        else:
+            known = span.start, span.stop
+            if known not in self._blocks:
+                every = np.arange(span.start // PER_CELL, span.stop // PER_CELL)
+                self._blocks[known] = self._pack(every)
+            blocks = self._blocks[known]
+        full, order, packed = blocks
         inputs = [full, *constants, order, packed, self._rows, *motion]
         return self._model.launch(kernel, len(order) // simd.CELLS, inputs, outputs)
+
+    def _pack(self, cells: NDArray[np.int64]) -> tuple[int, wp.array, wp.array]:
+        points = (PER_CELL * cells[:, None] + np.arange(PER_CELL)).ravel()
+        volume = np.asarray(self._model.volume.numpy(), np.float64)[points]
+        blocks, device = simd.pack(self._lattice.offset[points], volume, cells), self._model.device
+        order = wp.array(blocks.order.ravel(), dtype=int, device=device)
+        packed = wp.array(blocks.packed.ravel(), dtype=wp.float32, device=device)
+        return blocks.full, order, packed
 
     def _stress(self, worker: Worker, u: wp.array, outputs: list[wp.array]) -> list[Named]:
         records = [self._stress_of(worker, group, u, outputs) for group in self._model.groups]
@@ -328,12 +352,21 @@ class Crew:
         """
         span, v, before, clock = worker.nodes, self.nodes.v, self.nodes.before, tracks.clock
         stress = [span, self._pool, self._donors, clock, tracks.values, v]
+        push = [self._push_donors, clock, self.no_pull, v]
         kicks: list[Named] = []
-        for pool in (self.lasting, self._pushes if pushed else None):
-            if pool is not None:
-                push = [span, pool, self._push_donors, clock, self.no_pull, v]
-                kicks += self._kick(*push, self._middle if kicks else before)
-        return kicks + self._kick(*stress, self._middle if kicks else before)
+        if self.lasting is not None:
+            kicks = self._kick(span, self.lasting, *push, before)
+        if not pushed:
+            return kicks + self._kick(*stress, self._middle if kicks else before)
+        reached, middle = worker.reach.span, self._middle
+        if kicks or reached == span:
+            kicks += self._kick(reached, self._pushes, *push, middle if kicks else before)
+            return kicks + self._kick(*stress, middle)
+        # The kick by the stress stores the velocities after the kick by pushes, not before it.
+        kicks = self._kick(reached, self._pushes, *push, middle) + self._kick(*stress, before)
+        count, kernel = reached.stop - reached.start, node_kernels.make_copy(self._model.real)
+        restore = self._model.launch(kernel, count, [reached.start, middle], [before])
+        return kicks + launches([("nodes", restore)])
 
     def _kick(self, span: slice, pool: wp.array, donors: Any, *rest: Any) -> list[Named]:
         inputs = [self.nodes.inverse, pool, self._spans, donors, *rest]

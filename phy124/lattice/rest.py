@@ -279,6 +279,11 @@ class RestLattice:
         result[chosen] = (weights * a[nodes]).sum(axis=1)
         return result
 
+    def passes_to(self, pushed: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Return which nodes receive a part of the pushes on the nodes `pushed` [N]."""
+        receives: NDArray[np.bool_] = (abs(self.pushes) @ pushed.astype(np.float32)) > 0
+        return receives
+
     def find(self, index: NDArray, body: NDArray | int = 0) -> NDArray[np.int64]:
         """Return the indices of the nodes of bodies at grid positions `index` [...,3]; -1: no node.
 

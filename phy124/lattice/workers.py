@@ -32,6 +32,8 @@ class Worker:
     """Forces on the nodes due to pushes on the worker's points, N."""
     maxima: wp.array
     """Largest speed and strain rate of the worker's points."""
+    reach: Any = None
+    """What forces on points reach (`Reach`); None before forces are known."""
     phases: list[list[Named]] = field(default_factory=list)
     """Kernel launches of a substep, for each phase; threads wait for each other between phases."""
     tasks: dict[int, list[Named]] = field(default_factory=dict)

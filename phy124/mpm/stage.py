@@ -3,7 +3,9 @@
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, Protocol
 
+import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
 from phy124.mpm.grid import Grid
 from phy124.mpm.model import Model, State
@@ -37,6 +39,8 @@ class Stage(NamedTuple):
     """Function that returns the speed [m/s] up to which the stage accelerates particles between two
     times [s]. If `top_speed` is None, the stage may accelerate particles to any speed.
     """
+    points: NDArray[np.int64] | None = None
+    """Indices of the particles whose motion the stage reads or changes; None: possibly all."""
 
 
 class Attachable(Protocol):

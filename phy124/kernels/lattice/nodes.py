@@ -65,6 +65,19 @@ def make_kick(real: Any):
 
 
 @build_once
+def make_copy(real: Any):
+    """Kernel over the nodes from `start` on: copies their velocities."""
+    t = types(real)
+
+    @kernel(f"phy124_lattice_copy_{real.__name__}", real, seconds=0.1)
+    def copy(start, v: t.vec3s, copy_out: t.vec3s):
+        n = start + wp.tid()
+        copy_out[n] = v[n]
+
+    return copy
+
+
+@build_once
 def make_try(real: Any):
     """Kernel over the nodes from `start` on: computes a trial displacement, and displaces the
     nodes.

@@ -123,11 +123,11 @@ def make_follow(real: Any):
 
 @build_once
 def make_locate(real: Any):
-    """Kernel over points: computes x and v from the nodes, before forces act on points."""
+    """Kernel over chosen points: computes x and v from the nodes, before forces act on points."""
 
     @kernel(f"phy124_lattice_locate_{real.__name__}", real, seconds=0.3)
-    def locate(start, rows, offset, rest, u, v, x_out, v_out, v_kept_out):
-        p = start + wp.tid()
+    def locate(chosen, rows, offset, rest, u, v, x_out, v_out, v_kept_out):
+        p = chosen[wp.tid()]
         cell = p / wp.static(PER_CELL)
         f = offset[p]
         x_out[p] = rest[p] + at_point(u, rows, cell, f)
@@ -140,11 +140,13 @@ def make_locate(real: Any):
 
 @build_once
 def make_push(real: Any):
-    """Kernel over points: adds the force of pushes, m (v - v_kept) / kick, to the nodes' forces."""
+    """Kernel over chosen points: adds the force of pushes, m (v - v_kept) / kick, to the nodes'
+    forces.
+    """
 
     @kernel(f"phy124_lattice_push_{real.__name__}", real, seconds=0.3)
-    def push(start, low, mass, clock, rows, offset, v, v_kept, force_out):
-        p = start + wp.tid()
+    def push(chosen, low, mass, clock, rows, offset, v, v_kept, force_out):
+        p = chosen[wp.tid()]
         change = v[p] - v_kept[p]
         if wp.dot(change, change) > real(0.0) and clock[0] > real(0.0):
             cell = p / wp.static(PER_CELL)

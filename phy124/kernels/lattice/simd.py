@@ -61,13 +61,14 @@ class Blocks(NamedTuple):
     """Number of blocks in which all cells are full; these blocks come first."""
 
 
-def pack(offset: NDArray, volume: NDArray, first: int) -> Blocks:
-    """Group consecutive cells of a lattice into blocks.
+def pack(offset: NDArray, volume: NDArray, cells: NDArray) -> Blocks:
+    """Group cells of a lattice into blocks.
 
     Args:
-        offset: Positions of the points relative to the first node of their cell [P,3], cells.
-        volume: Volumes of the points [P], m^3.
-        first: Index of the first cell.
+        offset: Positions of the cells' points relative to the first node of their cell [8C,3],
+            cells.
+        volume: Volumes of the points [8C], m^3.
+        cells: Indices of the cells, sorted [C].
     """
     rows = np.concatenate([offset, volume[:, None]], axis=1).reshape(-1, PER_CELL, 4)
     wrong = np.abs(rows[:, :, :3] - GAUSS)
@@ -83,7 +84,7 @@ def pack(offset: NDArray, volume: NDArray, first: int) -> Blocks:
         places = np.concatenate([run.reshape(CELLS, -1).T for run in runs])
         parts.append(filled[places])
         constants.append(np.moveaxis(values[places], 1, -1))
-    order = np.concatenate(parts).astype(np.int32) + np.int32(first)
+    order = cells[np.concatenate(parts)].astype(np.int32)
     packed = np.ascontiguousarray(np.concatenate(constants), dtype=np.float32)
     return Blocks(np.ascontiguousarray(order), packed, len(parts[0]))
 

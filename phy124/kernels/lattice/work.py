@@ -59,15 +59,14 @@ def make_node_work(real: Any):
 
 @build_once
 def make_push_work(real: Any):
-    """Kernel over the nodes from `start` on: adds forces on points to `EXCHANGE` sums."""
+    """Kernel over chosen nodes: adds forces on points to `EXCHANGE` sums."""
 
     @kernel(f"phy124_lattice_push_work_{real.__name__}", real, seconds=0.3)
     def push_work(
         first,
         each,
         stride,
-        count,
-        start,
+        chosen,
         inverse,
         pool,
         spans,
@@ -81,8 +80,10 @@ def make_push_work(real: Any):
         work = wp.float64(0.0)
         for k in range(each):
             i = wp.tid() * first + k * stride
-            n = start + i
-            if i < count and inverse[n] > real(0.0):
+            if i >= chosen.shape[0]:
+                break
+            n = chosen[i]
+            if inverse[n] > real(0.0):
                 force = force_on(pool, spans, donors, n)
                 J = wp.float64(clock[0]) * wide(force)
                 impulse += J
