@@ -15,6 +15,7 @@ from phy124.generators.ply_file import PlyFile, Reading
 from phy124.io.axes import orientation
 from phy124.io.clip import Clip
 from phy124.io.ply import write_ply
+from phy124.particles import compute_bounds
 from phy124.pipeline.capture import capture, find_floaters
 from phy124.pipeline.capture.floor import find_floor
 from phy124.rendering.framing import cameras
@@ -104,6 +105,17 @@ def test_the_object_stands_on_its_floor(tmp_path):
     assert np.ptp(run.setup.particles.x, axis=0).max() < 1.05
     camera = cameras(clip, View(), "front")[0]
     assert np.linalg.norm(np.subtract(camera.eye, camera.target)) < 2.1
+
+
+def test_an_object_of_fewer_gaussians_keeps_its_size_beside_its_floor(tmp_path):
+    file = PlyFile(saved(tmp_path, captured(4)), FLOOR)
+    sizes = []
+    for count in (None, 1200):
+        read = capture(file, scene(), count=count)
+        assert count is None or len(read.gaussians) <= count
+        body = read.gaussians.select(slice(*read.scene.parts[0].gaussians[:1]))
+        sizes.append(np.subtract(*compute_bounds(body)[::-1]))
+    np.testing.assert_allclose(sizes[1], sizes[0], rtol=0.01)
 
 
 def test_a_lifted_object_leaves_its_floor_on_the_ground(tmp_path):

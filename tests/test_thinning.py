@@ -10,7 +10,9 @@ from phy124.camera import Camera
 from phy124.errors import InputError
 from phy124.generators.ply_file import PlyFile
 from phy124.generators.relief import relief
-from phy124.particles.thinning import check_count, note_few, thin, with_count
+from phy124.generators.shapes import make_shape
+from phy124.particles import compute_bounds, find_solid
+from phy124.particles.thinning import check_count, note_few, note_volume, thin, with_count
 from phy124.pipeline.gaussians import make_object
 from phy124.rendering.render import Renderer
 from phy124.runtime.context import RunContext
@@ -64,6 +66,23 @@ def test_remaining_gaussians_cover_the_same_area():
     assert few.sum() == pytest.approx(all_of_it.sum(), rel=0.1)
     bare = alpha(g.select(np.arange(0, len(g), len(g) // 2000)))
     assert abs(few - all_of_it).mean() < abs(bare - all_of_it).mean()
+
+
+@pytest.mark.parametrize("count", [2000, 500])
+def test_a_box_of_fewer_gaussians_keeps_size_and_volume(count):
+    box = make_shape("box", (1.0, 1.0, 1.0), (1.0, 0.0, 0.0), count=20_000)
+    few = thin(box, count)
+    for end, before in zip(compute_bounds(few), compute_bounds(box), strict=True):
+        np.testing.assert_allclose(end, before, atol=2e-3)
+    assert find_solid(few, 0.05).volume == pytest.approx(1, rel=0.01)
+    assert note_volume(box, few) == note_volume(box, box) == []
+
+
+def test_a_change_of_volume_is_noted():
+    notes = note_volume(ball(4000), ball(30))
+    assert len(notes) == 1
+    assert notes[0].startswith("With 30 of 4,000 Gaussians, the object's volume and mass are ")
+    assert notes[0].endswith("% smaller. Give --gaussians a larger number.")
 
 
 def test_generator_with_a_count_option_makes_the_count():

@@ -7,6 +7,7 @@ import scipy
 from numpy.typing import NDArray
 
 from phy124.gaussians import Gaussians, quaternions, spread_directions
+from phy124.particles.extent import limit_to_surface
 
 COUNT = 8000
 """Approximate number of Gaussians."""
@@ -60,7 +61,7 @@ def cover_surface(
     bright: NDArray | float = 1.0,
     shaded: bool = True,
 ) -> Gaussians:
-    """Cover a surface with flat Gaussians.
+    """Cover a surface with flat Gaussians that do not extend beyond its ends.
 
     Args:
         points: Centres [N,3], m.
@@ -75,7 +76,8 @@ def cover_surface(
     facing = (normals @ LIGHT / np.linalg.norm(LIGHT)).clip(-1, 1)
     lit = AMBIENT + (1 - AMBIENT) * facing if shaded else np.ones(len(points))
     colours, opacities = ((lit * bright)[:, None] * rgb).clip(0, 1), np.full(len(points), 0.95)
-    return Gaussians.from_rgb(points, _facing(normals), scales, opacities, colours)
+    made = Gaussians.from_rgb(points, _facing(normals), scales, opacities, colours)
+    return limit_to_surface(made, normals)
 
 
 def choose_triangles(

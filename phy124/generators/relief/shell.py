@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from phy124.gaussians import Gaussians, quaternions
 from phy124.generators.relief.picture import WORK
+from phy124.particles.extent import limit_to_surface
 
 Field = NDArray[np.float64]
 TANGENT = 0.58
@@ -63,9 +64,10 @@ class Shell:
         scales = np.stack([reach, reach, NORMAL * self.spacing], axis=1) / WORK
         opacities = np.full(len(means), OPACITY)
         quats = quaternions(_frames(normals))
-        return Gaussians.from_rgb(
+        made = Gaussians.from_rgb(
             *(v.astype(np.float32) for v in (means, quats, scales, opacities, self.rgb))
         )
+        return limit_to_surface(made, normals, DRAWN_IN / WORK)
 
 
 def join(*shells: Shell) -> Shell:

@@ -5,8 +5,10 @@ ground, which is at the height of the detected floor. The object's longest side 
 `object.size`.
 """
 
+from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -20,7 +22,7 @@ from phy124.imaging.painted import WHOLE, Crop
 from phy124.io.axes import rotate_gaussians, upright
 from phy124.io.content import for_run
 from phy124.particles import clean
-from phy124.particles.thinning import thin
+from phy124.particles.thinning import note_volume, thin
 from phy124.pipeline.capture.floor import Floor, find_floor
 from phy124.pipeline.capture.place import find_crop, note_stretched
 from phy124.progress import Progress, silent
@@ -72,16 +74,21 @@ def capture(
     """
     with nullcontext() if count is None else for_run(count):
         opened = file.open(progress)
-    opened = opened._replace(gaussians=thin(opened.gaussians, count, seed=scene.seed))
-    has_up = file.reading.up is not None or file.reading.rotate is not None
-    read = _on_floor(opened, has_up=has_up) if file.reading.floor else _alone(opened, file.path)
+    reduce, notes = partial(thin, seed=scene.seed), []
+    if file.reading.floor:
+        has_up = file.reading.up is not None or file.reading.rotate is not None
+        read = _on_floor(opened, count, reduce, has_up=has_up)
+    else:
+        kept = reduce(opened.gaussians, count)
+        notes = note_volume(opened.gaussians, kept)
+        read = _alone(opened._replace(gaussians=kept), file.path)
     scene = _with_floor(scene, read)
     shift = read.offset - read.scale * read.rotation @ opened.origin
     transform = {"rotation": read.rotation.tolist(), "scale": read.scale, "shift": shift.tolist()}
     about = {"capture": {**transform, "floor": read.floor, "coarse": opened.coarse}}
     metres = _in_metres(scene, read, opened.origin)
     crop = find_crop(file)
-    notes = (*opened.notes, *([] if crop else note_stretched(file, scene)))
+    notes = (*opened.notes, *notes, *([] if crop else note_stretched(file, scene)))
     return Capture(read.gaussians, metres, read.cleaning, about, notes, crop or WHOLE)
 
 
@@ -125,27 +132,36 @@ def _alone(opened: Opened, name: str) -> _Read:
     return _Read(placed, len(placed), opened.rotation, scale, offset, opened.cleaning, None)
 
 
-def _on_floor(opened: Opened, *, has_up: bool) -> _Read:
-    """Return the upright object without floaters, on its floor at z = 0."""
+def _on_floor(
+    opened: Opened, most: int | None, reduce: Callable[..., Gaussians], *, has_up: bool
+) -> _Read:
+    """Return the upright object without floaters, on its floor at z = 0.
+
+    `reduce` reduces the number of Gaussians of a set. Object and floor keep at most `most` together
+    (None: all), so that the Gaussians of the floor do not count for the size of the object.
+    """
     every = opened.gaussians
     visible = every.means[every.opacities >= VISIBLE]
     floor = find_floor(visible, np.array([0.0, 0.0, 1.0]) if has_up else None)
     lies = floor.heights(every.means) <= floor.tolerance
     turn = upright(floor.normal)
     standing = rotate_gaussians(every, turn)
-    above = standing.select(~lies)
+    above, below = standing.select(~lies), standing.select(lies)
     alone = find_floaters(above)
     body, cleaned = clean(above.select(~alone))
+    if most is not None:
+        body = reduce(body, max(1, round(most * len(body) / (len(body) + len(below)))))
+        below = reduce(below, most - len(body))
     low, high = robust_bounds(body)
     scale = 1 / float((high - low).max())
     offset = -scale * (low + high) / 2
     offset[2] = -scale * floor.offset
-    both = join([body, standing.select(lies)]).transform(scale, offset)
+    both = join([body, below]).transform(scale, offset)
     sentences = [*opened.cleaning, *cleaned.sentences]
     if alone.any():
         count = f"{alone.sum()} of {len(above)} Gaussians above the floor"
         sentences.append(f"{count} floated far from all others and were dropped.")
-    about = _describe_floor(floor, opened, lies)
+    about = _describe_floor(floor, opened, lies) | {"gaussians": len(below)}
     return _Read(both, len(body), turn @ opened.rotation, scale, offset, sentences, about)
 
 
@@ -162,7 +178,6 @@ def _describe_floor(floor: Floor, opened: Opened, lies: NDArray[np.bool_]) -> di
         "normal": (opened.rotation.T @ floor.normal).tolist(),
         "offset": floor.offset + float(floor.normal @ opened.rotation @ opened.origin),
         "tolerance": floor.tolerance,
-        "gaussians": int(lies.sum()),
         "fraction": float(lies.mean()),
         "tilt": float(np.degrees(np.arccos(np.clip(floor.normal[2], -1, 1)))),
     }
