@@ -2,7 +2,7 @@
 
 import sys
 
-from demo.__main__ import main
+from demo.__main__ import run
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run())

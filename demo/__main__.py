@@ -5,12 +5,14 @@ from __future__ import annotations
 from phy124.runtime.signals import ending, handling
 
 with handling(ending(130)):  # an error message instead of a traceback
+    import atexit
     import inspect
     import os
     import sys
     import threading
     from argparse import ArgumentParser
     from collections.abc import Sequence
+    from contextlib import suppress
     from importlib import import_module
     from importlib.util import find_spec
     from typing import Any
@@ -22,6 +24,28 @@ with handling(ending(130)):  # an error message instead of a traceback
     from phy124.runtime.streams import steady_streams
 
     from .settings import PREFIX, Settings
+
+
+def run() -> int:
+    """Serve the page as a program, and return its exit status.
+
+    Jobs run in daemon threads. When Python ends such a thread inside a C++ library, such as OpenCV,
+    the library aborts the process. The process therefore ends before Python ends its threads.
+    """
+    status: Any = 1
+
+    def leave() -> None:
+        with suppress(OSError, ValueError):
+            sys.stdout.flush()
+        os._exit(status)
+
+    atexit.register(leave)  # Functions that are registered later run earlier.
+    try:
+        status = main()
+    except SystemExit as end:
+        status = end.code if isinstance(end.code, int) else int(end.code is not None)
+        raise
+    return status
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -108,4 +132,4 @@ def read_options(arguments: Sequence[str] | None) -> dict[str, str]:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run())

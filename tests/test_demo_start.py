@@ -4,6 +4,8 @@ import gc
 import inspect
 import os
 import socket
+import subprocess
+import sys
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from threading import Thread
 
@@ -24,6 +26,31 @@ def test_busy_port_is_reported_in_a_sentence(capsys):
     said = capsys.readouterr().err
     assert "Traceback" not in said
     assert f"port = {port}: Another program uses this port." in said
+
+
+def test_job_inside_a_library_does_not_abort_the_page():
+    """OpenCV aborts a process whose interpreter ends while a thread is inside OpenCV."""
+    script = """
+import sys, threading, time, cv2, numpy as np
+from demo import __main__ as page
+
+def work():
+    while True:
+        cv2.GaussianBlur(np.zeros((3000, 3000), np.uint8), (41, 41), 3)
+
+def main():
+    threading.Thread(target=work, daemon=True).start()
+    time.sleep(0.3)
+    print("served")
+    raise SystemExit(143)
+
+page.main = main
+sys.exit(page.run())
+"""
+    ended = subprocess.run(
+        [sys.executable, "-c", script], check=False, capture_output=True, text=True
+    )
+    assert (ended.returncode, ended.stdout, ended.stderr) == (143, "served\n", "")
 
 
 def test_apps_are_made_without_answers_for_other_sites(gradio):
