@@ -6,7 +6,7 @@ import pytest
 from phy124.boundaries import Container, HalfSpace, Path, Swing
 from phy124.mpm import FreeBody
 from phy124.schema.region import Region
-from support.liquids import TANK, block, heights, liquid, run
+from support.liquids import TANK, G, block, heights, liquid, run
 
 pytestmark = pytest.mark.usefixtures("coarse_solids")
 WRITTEN = ("distances", "owners", "eighths", "open", "covers", "shares")
@@ -66,3 +66,17 @@ def test_walls_and_solids_ignore_the_order_of_workers():
         results.append([getattr(solver.cells, name).numpy().copy() for name in WRITTEN])
     for name, first, second in zip(WRITTEN, *results, strict=True):
         np.testing.assert_array_equal(first, second, err_msg=name)
+
+
+@pytest.mark.parametrize("width", [1.2, 2.4, 4.1])
+def test_still_water_fits_tanks_whose_walls_cut_cells(width):
+    """Few parts of cells at the walls are open, and in a narrow tank both walls are near."""
+    side = width / 8
+    tank = Container(inside=Region(lower=(0, 0, 0), upper=(side, side, 1e9)), contact="slip")
+    x = block((0, 0, 0), (side, side, 1), 8)
+    x[:, :2] *= side / (2 * x[:, :2].mean(axis=0))
+    solver = run(liquid(x, 8, [tank], offset=1 - width % 1 / 2), 24)
+    before = solver.impulses.wrench("wall_0_z_low").numpy()[2]
+    press = (run(solver, 24).impulses.wrench("wall_0_z_low").numpy()[2] - before) * 2
+    assert press == pytest.approx(G * solver.model.total_mass, rel=0.02)
+    assert np.abs(solver.state.v.numpy()).max() < 0.1

@@ -19,6 +19,12 @@ LONE = wp.constant(0.3)
 """Smallest fill of a cell that has pressure; in cells with less fill, particles are drops in
 flight.
 """
+LEAST = wp.constant(0.004)
+"""Lower limit of the open part of a B-spline around a cell. Of an open cell in the corner of a
+tank, at least this part is open.
+"""
+RIM = wp.constant(0.1)
+"""In a closed cell, a B-spline whose open part is smaller counts as less filled."""
 
 
 @wp.func
@@ -58,7 +64,7 @@ def opening(open: wp.array(dtype=Any), n: int, size: wp.vec3i):
 @wp.func
 def filled_share(volume: Any, solid: Any, dx: Any):
     """Return the filled fraction of a B-spline's part outside walls; `solid` is the part inside."""
-    open = wp.max(type(dx)(1.0) - solid, type(dx)(0.1))
+    open = wp.max(type(dx)(1.0) - solid, type(dx)(LEAST))
     return wp.min(volume / (dx * dx * dx) / open, type(dx)(1.0))
 
 
@@ -70,11 +76,13 @@ def thickness(
     shares: wp.array(dtype=Any),
     n: int,
     size: wp.vec3i,
+    dx: Any,
     most: Any,
 ):
     """Return the volume of a liquid layer on a wall, per cell of the wall [m^3]; 0 without layer.
 
-    A layer exists only if the next cell away from the wall contains less than the volume `most`.
+    A layer exists only if the fill of the next cell away from the wall is less than `most`. In a
+    narrow gap, the next cell may be inside the opposite wall.
     """
     result = type(most)(0.0)
     for axis in range(3):
@@ -82,7 +90,7 @@ def thickness(
         jump = item(open, n + step)[axis] - item(open, n)[axis]
         if wp.abs(jump) > type(most)(0.5):
             away = int(wp.sign(jump)) * step
-            if item(cells, n + away)[component] < most:
+            if filled_share(item(cells, n + away)[component], item(shares, n + away)[1], dx) < most:
                 result = type(most)(0.0)
                 for k in range(5):
                     result += item(cells, n + (k - 2) * step)[component]
@@ -108,7 +116,8 @@ def level(
 
     A layer on a wall is liquid, and counts as full, even if its surface is below the centre of its
     cells. Particles in a very thin layer count as drops instead. For a cell inside a wall, only the
-    rim of the B-spline reaches the liquid, so the fill is halved.
+    rim of the B-spline reaches the liquid, so the fill is halved, or reduced more if the rim is
+    small.
 
     Args:
         cells: Sums over the particles; the sum with the index `component` is the volume.
@@ -130,7 +139,8 @@ def level(
     wet = int(0)
     if filled > zero and inner(cell_of(n, size), size, 2):
         if opening(open, n, size) <= type(dx)(SHUT):
-            filled *= type(dx)(0.5)
+            rim = (type(dx)(1.0) - item(shares, n)[1]) / type(dx)(RIM)
+            filled *= type(dx)(0.5) * wp.min(rim, type(dx)(1.0))
         else:
             wet = wp.where(phi < zero, 1, 0)
             thick = zero
@@ -140,8 +150,8 @@ def level(
                 and filled < type(dx)(1.0)
                 and item(owners, middle) < solid
             ):
-                most = type(dx)(0.5) * filled * volume
-                thick = thickness(cells, component, open, shares, n, size, most) / volume
+                half = type(dx)(0.5) * filled
+                thick = thickness(cells, component, open, shares, n, size, dx, half) / volume
             if thick > zero:
                 phi = item(distances, middle) / dx - thick
                 wet = wp.where(filled >= type(dx)(LONE), 1, 0)
