@@ -428,11 +428,6 @@ def test_liquids_are_projected_unless_the_report_says_why_not(preset, changes, r
     assert reason in why.get("pressure projection", "")
 
 
-def test_kick_without_duration_needs_one_sweep():
-    honey = liquid(block((0.2,) * 3, (0.4,) * 3, 8), 8, viscosity=10.0)
-    assert honey.clock.sweeps(0.0) == 1 < honey.clock.sweeps(1.0)
-
-
 def test_estimate_counts_the_steps_of_a_projected_liquid():
     scene = Scene.named("water")
     compressible = scene.replaced({"accuracy.liquid": "compressible"})

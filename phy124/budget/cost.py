@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from phy124.forces import Grab, Wind
 from phy124.gaussians import Gaussians
 from phy124.kernels.lattice.simd import has_stress
-from phy124.liquid.clock import CELLS, DIFFUSED, WAVES
+from phy124.liquid.clock import CELLS, WAVES
 from phy124.mpm.timestep import CELLS_PER_STEP, ELASTIC_LIMIT, STRAIN_PER_STEP, beside_elastic
 from phy124.particles import Particles
 from phy124.scene import Scene
@@ -249,9 +249,7 @@ def longest_substeps(scene: Scene) -> NDArray[np.float64]:
         # Only the other materials count, because the liquid takes fewer steps.
         materials = [section for section in materials if section.law != "fluid"]
     elif scene.projects:
-        # `viscous_limit` is the time in which viscosity diffuses an eighth of the velocity.
-        viscous = 8 * DIFFUSED * min(section.viscous_limit(scene.dx) for section in scene.materials)
-        longest = min(WAVES * math.sqrt(scene.dx / GRAVITY), viscous, scene.time.ceiling)
+        longest = min(WAVES * math.sqrt(scene.dx / GRAVITY), scene.time.ceiling)
         return np.full(scene.time.frames - 1, longest)
     fraction = scene.resolution.fraction
     viscous = min(section.viscous_limit(scene.dx) for section in materials)

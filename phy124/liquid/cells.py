@@ -169,7 +169,7 @@ class Cells:
         self.fills = self._zeros(self._copies * count, t.vec2)
         """Particle volumes in each cell, with quadratic and with linear weights; a copy per worker.
         """
-        self.velocity, self.other, self.smooth = (self._zeros(count, t.vec4) for _ in range(3))
+        self.velocity, self.other = (self._zeros(count, t.vec4) for _ in range(2))
         """Velocities at the low faces of each cell [m/s], and filled fraction of the cell."""
         self.known, self.also = (self._zeros(count, int) for _ in range(2))
         self.open, self.shares = self._zeros(count, t.vec4), self._zeros(count, t.vec2)

@@ -1,7 +1,7 @@
 """Keeps the time of a liquid's run, and chooses the length of the steps.
 
 A step is limited by the distance that particles move, and by waves on the surface. The most
-restrictive waves are two cells long. Pressure is implicit and does not limit a step.
+restrictive waves are two cells long. Pressure and viscosity are implicit and do not limit a step.
 """
 
 import math
@@ -9,7 +9,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from phy124.mpm import Clock
+from phy124.mpm import Clock, Model
 from phy124.mpm.timestep import Extremes, Substep
 
 CELLS = 2.0
@@ -17,11 +17,6 @@ CELLS = 2.0
 WAVES = 0.5
 """Longest step in units of sqrt(dx / `a`), where dx is the cell size and `a` the acceleration of
 the liquid.
-"""
-
-DIFFUSED = 5.0
-"""Largest product of the length of a step and the rate at which viscosity diffuses velocities. This
-limit keeps the number of viscous iterations below about 200.
 """
 
 RESOLVED = 4.0
@@ -50,8 +45,6 @@ class LiquidClock(Clock):
     """Upper bound of the acceleration of the liquid by forces [m/s^2]."""
     pull: NDArray[np.float64] = np.zeros(3)
     """Uniform acceleration [3], m/s^2."""
-    viscosity = 0.0
-    """Rate at which viscosity diffuses velocities to a neighbouring face [1/s]."""
     wall = 0.0
     """Largest speed of a wall in contact with the liquid [m/s]."""
     bodies = 0.0
@@ -61,9 +54,10 @@ class LiquidClock(Clock):
     light = math.inf
     """Shortest vibration period of a light body in the liquid [s]."""
 
-    def diffuse(self, rate: float) -> None:
-        """Limit the steps by viscosity, for a rate of diffusion [1/s]."""
-        self.viscosity, self.viscous = rate, DIFFUSED / rate if rate > 0 else math.inf
+    def __init__(self, model: Model, *, ceiling: float = math.inf) -> None:
+        """Start the clock of a liquid, whose steps viscosity does not limit."""
+        super().__init__(model, ceiling=ceiling)
+        self.viscous = math.inf
 
     def stable(self) -> Substep:
         """Return the longest step in the current state."""
@@ -75,7 +69,6 @@ class LiquidClock(Clock):
             "speed": 2 * far / reach if reach > 0 else math.inf,
             "wave": WAVES * math.sqrt(self.dx / a) if a > 0 else math.inf,
             self.ceiling_name: self.ceiling,
-            "viscous": self.viscous,
         }
         limiter = min(limits, key=limits.__getitem__)
         return Substep(limits[limiter], limiter)
@@ -101,15 +94,6 @@ class LiquidClock(Clock):
         `momentum` [3] is in kg m/s; `power` is not used, since a projected liquid has no stress.
         """
         return self.last_dt / 2 * float(self.pull @ momentum)
-
-    def sweeps(self, kick: float) -> int:
-        """Return the number of pairs of Jacobi iterations that reduce the viscous error to a
-        thousandth.
-        """
-        k = 6 * self.viscosity * kick
-        if k == 0:  # the first kick of a test step has no duration
-            return 1
-        return max(1, math.ceil(math.log(1e-3) / math.log(k / (1 + k)) / 2))
 
     def set_speed(self, speed: float) -> None:
         """Set the largest speed of the particles [m/s]."""

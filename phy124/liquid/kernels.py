@@ -18,11 +18,11 @@ from phy124.kernels.liquid import (
     spread,
     surface,
     transfer,
-    viscous,
 )
 from phy124.kernels.liquid.solids import make_push
 from phy124.liquid import projection
 from phy124.liquid.solids import solid_kernels
+from phy124.liquid.viscosity import viscosity_kernels
 from phy124.liquid.walls import wall_kernels
 
 
@@ -85,4 +85,4 @@ def _of_phases(real: Any, form: str) -> Iterator[Any]:
     yield from (make(real) for make in (pressure.make_gradient, impulses.make_wall_impulses))
     yield from (spread.make_spread(real, form), spread.make_slide(real))
     yield from (packing.make_excess(real), impulses.settle)
-    yield from (pressure.make_anticipate(real), viscous.make_diffuse(real), viscous.make_drag(real))
+    yield from viscosity_kernels(real)

@@ -79,7 +79,7 @@ class Phases:
         self.stray = wp.zeros(1, dtype=int, device=device)
         """Number of particles with values that are not finite."""
         self._mixture = Mixture(model, liquids, len(workers))
-        self.viscosity = Viscosity(model, cells, self._mixture)
+        self.viscosity = Viscosity(model, cells, self._mixture, projection)
         density = self._mixture.density
         self._solids = Solids(model, free, density, projection)
         self._bodies = bodies
@@ -120,10 +120,10 @@ class Phases:
         """
         self._tracks, self._walls, self._impulses_of_walls = tracks, walls, impulses_of_walls
         self._mixture.fit(self._cells.count)
-        self.viscosity.fit(walls, tracks, impulses_of_walls)
         in_cells = bool(walls.all) or self.energies.on
         self.pushes.fit(len(self._workers), pushes, in_cells=in_cells)
         fixed = self._solids.first(walls)
+        self.viscosity.fit(walls, fixed, tracks, impulses_of_walls)
         self.energies.fit(walls, fixed, tracks, impulses_of_walls, self.pushes.gains)
         names: list[str] = []
         for index, worker in enumerate(self._workers):
@@ -176,7 +176,7 @@ class Phases:
         for phase in solve.phases(cells, cells.packing, worker):
             yield "packing", launches(phase)
         gradient = self._gradient(cells.packing, worker, shifts=packing.MOST)
-        yield "displace", launches([gradient])
+        yield "displace", launches([gradient, *self.viscosity.release(worker)])
         for records in self._displacements(worker):
             yield "displace", launches(records)
 
@@ -189,16 +189,14 @@ class Phases:
             yield "scatter", self._fill(worker, weights)
             yield "scatter", launches([self._sum_fills(worker)])
             yield "scatter", launches([self._mix(worker, mixed)])
-        viscosity = self.viscosity
-        if viscosity.rate > 0:
-            cells = self._cells
-            yield "scatter", launches([viscosity.anticipate(worker, -1.0)])
-            start = [("viscosity", lambda: wp.copy(cells.other, cells.velocity))]
-            yield "scatter", start if worker == 0 else []
-            yield "viscosity", launches([viscosity.diffuse(worker, cells.other, cells.smooth)])
-            yield "viscosity", launches([viscosity.diffuse(worker, cells.smooth, cells.other)])
-            drag = viscosity.drag(worker, self._copy(cells.sums, 0))
-            yield "equation", launches([drag, viscosity.anticipate(worker, 1.0)])
+        if self.viscosity.rate > 0:
+            sums = self._copy(self._cells.sums, 0)
+            for records in self.viscosity.prepare(worker):
+                yield "scatter", launches(records)
+            for records in self.viscosity.phases(worker):
+                yield "viscosity", launches(records)
+            for records in self.viscosity.finish(worker, sums):
+                yield "equation", launches(records)
         for records in self._equation(worker):
             yield "equation", launches(records)
         if records := self.energies.before_pressure(worker):
@@ -207,7 +205,7 @@ class Phases:
     def _equation(self, worker: int) -> Iterator[list[Recorded]]:
         cells, solve = self._cells, self._projection
         yield [self._assemble(worker, self._mixture.densities), *self._jumps(worker)]
-        yield from solve.list_cells(cells, worker)
+        yield from solve.list_cells(cells, worker, cells.liquid)
         yield from self._couple(worker)
         yield [self._divergence(worker), *self._yields(worker)]
         if self._solids.present:
@@ -231,7 +229,7 @@ class Phases:
         yield [self._sum_fills(worker)]
         yield [self._refill(worker)]
         yield [self._assemble(worker, self._mixture.uniform), self._excess(worker)]
-        yield from self._projection.list_cells(self._cells, worker)
+        yield from self._projection.list_cells(self._cells, worker, self._cells.liquid)
 
     def _displacements(self, worker: int) -> Iterator[list[Recorded]]:
         for turn in range(LAYERS_SHIFT):

@@ -46,10 +46,17 @@ class Projection:
         """Return the first part that a worker handles, and the number of its parts."""
         return (worker, 1) if self._parts == self._workers else (0, self._parts)
 
-    def list_cells(self, cells: Cells, worker: int) -> tuple[list[Recorded], list[Recorded]]:
-        """Return a worker's launches that count and then list the cells of liquid."""
+    @property
+    def every(self) -> int:
+        """Number of iterations between two checks."""
+        return 1 if self._model.device == "cpu" else CHECK
+
+    def list_cells(
+        self, cells: Cells, worker: int, flags: wp.array
+    ) -> tuple[list[Recorded], list[Recorded]]:
+        """Return a worker's launches that count and then list the active cells whose flag is 1."""
         launch, (part, parts) = self._model.launch, self.part(worker)
-        inputs = [part, cells.active, cells.ends, cells.liquid]
+        inputs = [part, cells.active, cells.ends, flags]
         count = launch(count_liquid, parts, inputs, [self.counts])
         listed = launch(list_liquid, parts, [*inputs, self.counts], [cells.listed])
         return [(STAGE, count)], [(STAGE, listed)]
@@ -122,7 +129,6 @@ class Projection:
             begin: Index of the first phase of the solution.
             tolerance: Largest residual, relative to the largest right-hand side.
         """
-        every = 1 if self._model.device == "cpu" else CHECK
         run(begin)
         pairs = [begin + 1, begin + 3, begin + 5]
         taken = 0
@@ -131,13 +137,14 @@ class Projection:
             run(advance)
             # All workers have finished the phase before `advance`, so the sums of this phase are
             # complete.
-            if k % every == 0 and self._small(tolerance):
+            if k % self.every == 0 and self.small(tolerance):
                 break
             run(advance + 1)
             taken = k + 1
         return taken
 
-    def _small(self, tolerance: float) -> bool:
+    def small(self, tolerance: float) -> bool:
+        """Return whether the residual is small, relative to the largest right-hand side."""
         sums: Any = self.sums.numpy()
         largest, right = np.max(sums[[RESIDUAL, RIGHT]], axis=1).tolist()
         return largest <= tolerance * right or right == 0.0

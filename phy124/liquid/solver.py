@@ -140,7 +140,6 @@ class LiquidSolver(Kept):
             [slice(run.start - first, run.stop - first) for run in runs],
         )
         self.runner = Runner(self.workers)
-        self.clock.diffuse(self._phases.viscosity.fastest)
         self.kick = 0.0
         """Duration of the last step [s]."""
         self.follower: Callable[[], None] | None = None
@@ -277,8 +276,7 @@ class LiquidSolver(Kept):
             pull = np.asarray(self.tracks.values.numpy()[0, :3], np.float64)
             self._bodies.plan(kick, pull)
         if self._phases.viscosity.rate > 0:
-            for _ in range(self.clock.sweeps(kick)):
-                self._group("viscosity")
+            self._phases.viscosity.solve(self.runner.run, self._phases.group("viscosity")[0])
         self._group("equation")
         self._solve("pressure", TOLERANCE)
         self.walls.place(clock.time + drift)

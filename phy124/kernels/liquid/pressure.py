@@ -89,6 +89,47 @@ def make_assemble(real: Any):
     return assemble
 
 
+@wp.func
+def outflow(
+    n: int,
+    moving: int,
+    solid: int,
+    lattice: Any,
+    window: wp.array(dtype=wp.vec3i),
+    motions: wp.array2d(dtype=Any),
+    open: wp.array(dtype=Any),
+    covers: wp.array(dtype=Any),
+    distances: wp.array(dtype=Any),
+    owners: wp.array(dtype=int),
+    velocity: wp.array(dtype=Any),
+):
+    """Return the net flux out of a cell, relative to moving walls [m/s].
+
+    `solid` is the index of the first wall that is a solid.
+    """
+    size = window[1]
+    zero = type(lattice[3])(0.0)
+    flux = type(zero)(0.0)
+    cell = cell_of(n, size)
+    for axis in range(3):
+        m = n + stride(axis, size)
+        low = item(open, n)[axis]
+        high = item(open, m)[axis]
+        flux += high * item(velocity, m)[axis] - low * item(velocity, n)[axis]
+        jump = high - low
+        if moving > 0:
+            x = centre_of(cell, lattice, window[0])
+            part = part_of_solid(jump, covers, n, stride(axis, size), axis)
+            if part != zero:
+                flux -= part * speed_of(motions, solid, x)[axis]
+                jump -= part
+            if jump != zero:
+                owner = wall_across(cell, axis, jump, size, distances, owners, lattice[3])
+                if owner >= 0:
+                    flux -= jump * speed_of(motions, owner, x)[axis]
+    return flux
+
+
 @build_once
 def make_divergence(real: Any):
     """Kernel over cells: computes the net flux into each cell relative to moving walls [m/s].
@@ -121,26 +162,12 @@ def make_divergence(real: Any):
         n = entry(active, ends, worker, wp.tid())
         if n < 0:
             return
-        size = window[1]
         flux = real(0.0)
         if item(liquid, n) == 1:
-            cell = cell_of(n, size)
-            for axis in range(3):
-                m = n + stride(axis, size)
-                low = item(open, n)[axis]
-                high = item(open, m)[axis]
-                flux += high * item(velocity, m)[axis] - low * item(velocity, n)[axis]
-                jump = high - low
-                if moving > 0:
-                    x = centre_of(cell, lattice, window[0])
-                    part = part_of_solid(jump, covers, n, stride(axis, size), axis)
-                    if part != real(0.0):
-                        flux -= part * speed_of(motions, solid, x)[axis]
-                        jump -= part
-                    if jump != real(0.0):
-                        owner = wall_across(cell, axis, jump, size, distances, owners, lattice[3])
-                        if owner >= 0:
-                            flux -= jump * speed_of(motions, owner, x)[axis]
+            flux = outflow(
+                n, moving, solid, lattice, window, motions, open, covers, distances, owners,
+                velocity,
+            )  # fmt: skip
         right_out[n] = -wp.float64(flux)
         guess = wp.float64(0.0)
         if item(liquid, n) == 1:

@@ -15,6 +15,7 @@ from phy124.studies.validation.experiments import (
     pressed_block,
     restitution,
     sand_column,
+    sinking,
     taylor_bar,
     terminal_speed,
     turning,
@@ -45,6 +46,7 @@ EXPERIMENTS: tuple[Experiment, ...] = (
     liquids.SLOSHING,
     liquids.CHANNEL,
     liquids.SPREADING,
+    sinking.EXPERIMENT,
 )
 
 __all__ = ["EXPERIMENTS", "Estimate", "Experiment", "Outcome", "Quantity", "find_experiment"]

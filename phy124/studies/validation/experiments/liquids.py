@@ -196,9 +196,9 @@ SPREADING = Experiment(
         Quantity.within("exponent", 0.125, 0.05),
     ),
     run=lambda cells: spread(cells, THICK),
-    control=lambda cells: spread(cells, 0.5 * THICK),
-    mistake="half the viscosity",
+    control=lambda cells: spread(cells, 0.25 * THICK),
+    mistake="a quarter of the viscosity",
     grids=(4, 5, 7),
     across="the heap's height",
-    seconds=60,
+    seconds=25,
 )
