@@ -134,7 +134,7 @@ def _write_format(format: Format, every: bool, done: Done, path: Path) -> list[s
 
 def _mcap(done: Done, path: Path) -> list[str]:
     """Record a bag with the bridge's command line, because the page must not import the bridge."""
-    clip = (done.clip / "clip.safetensors").resolve()
+    clip = done.viewed_clip.resolve()
     command = [sys.executable, "-m", BRIDGE, "record", str(clip), str(path.resolve())]
     root = Path(__file__).parents[1]
     try:

@@ -170,6 +170,12 @@ class Done:
         return self.films.parent.parent / "exports" / self.films.name
 
     @property
+    def viewed_clip(self) -> Path:
+        """File of the clip with the view of the videos."""
+        folders = (folder / "clip.safetensors" for folder in (self.films, self.clip))
+        return next(filter(Path.exists, folders), self.clip / "clip.safetensors")
+
+    @property
     def is_stored(self) -> bool:
         """Whether the clip and the videos still exist."""
         return (self.films / "report.json").exists() and (self.clip / "clip.safetensors").exists()

@@ -72,6 +72,15 @@ def test_everything_is_made(order):
     assert not order.stop.exists() and not DEVICE.locked()
 
 
+def test_a_clip_that_is_filmed_again_has_the_view_of_its_videos(order):
+    first, _ = _run(order)
+    again, _ = _run(replace(order, scene=order.scene.replaced({"view.elevation": 33.0})))
+    assert again.clip == first.clip and not (first.films / "clip.safetensors").exists()
+    views = [Scene.of_clip(Clip.load(done.viewed_clip).scene).view for done in (first, again)]
+    assert views == [first.scene.view, again.scene.view]
+    assert views[1].elevation == 33.0
+
+
 def test_finished_runs_are_freed_at_once(order):
     """Otherwise a page with many runs keeps several solvers until Python looks for cycles."""
     gc.disable()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -70,6 +71,7 @@ def film(order: Order, clips: Path, out: Path, limits: Limits) -> None:
             write_animation(folder / "orbit.webp", images, fps=fps)
         viewed = Scene.from_data({**clip.scene, "view": order.scene.data()["view"]})
         (folder / "scene.toml").write_text(hide_uploads(order, viewed.to_toml()), "utf-8")
+        _keep_view(clip, viewed, order, folder)
         report = json.loads((clips / "report.json").read_text("utf-8"))
         report["stages"] = _add_stages(report["stages"], watch.data())
         report["seconds"] += watch.total
@@ -83,6 +85,13 @@ def film(order: Order, clips: Path, out: Path, limits: Limits) -> None:
                 f"The time limit was reached before these videos were made: {names}.",
             ]
         pipeline.write_json(folder / "report.json", report)
+
+
+def _keep_view(clip: Clip, scene: Scene, order: Order, folder: Path) -> None:
+    """Write a copy of the clip with the scene of the videos, if the clip's own view differs."""
+    named = json.loads(hide_uploads(order, json.dumps(scene.data())))
+    if Scene.from_data(named).view != Scene.of_clip(clip.scene).view:
+        replace(clip, scene=named).save(folder / "clip.safetensors")
 
 
 def _add_stages(stages: list[dict[str, Any]], others: list[dict[str, Any]]) -> list[dict[str, Any]]:
