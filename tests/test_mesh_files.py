@@ -91,6 +91,24 @@ def test_ignored_parts_of_a_mesh_are_noted(tmp_path, change, words):
         mesh(write_glb(tmp_path / "a.glb", change), RED)
 
 
+@pytest.mark.parametrize("content", [b"no picture", None])
+def test_textures_that_cannot_be_decoded_are_noted(tmp_path, content):
+    """The picture is no picture, or is cut short."""
+    Image.effect_noise((64, 64), 50).save(tmp_path / "skin.png")
+    content = content or (tmp_path / "skin.png").read_bytes()[:900]
+    (tmp_path / "skin.png").write_bytes(content)
+    (tmp_path / "a.mtl").write_text("newmtl m\nKd 0 1 0\nmap_Kd skin.png\n")
+    with pytest.warns(UserWarning, match=r"cannot be decoded.*skin\.png"):
+        made = mesh(write_obj(tmp_path, head="mtllib a.mtl\nusemtl m"), RED)
+    assert made.rgb[:, 1].min() > 0.3 and made.rgb[:, 0].max() < 1e-6
+    path = write_glb(tmp_path / "a.glb")
+    data = path.read_bytes()
+    start, end = data.index(b"\x89PNG"), data.index(b"IEND")
+    path.write_bytes(data[:start] + content[: end - start].ljust(end - start, b"x") + data[end:])
+    with pytest.warns(UserWarning, match=r"cannot be decoded.*picture 0"):
+        mesh(path, RED)
+
+
 def place_texture(**options):
     """Return a change of a header that sets options of the texture's coordinates."""
 

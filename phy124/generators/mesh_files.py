@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import re
 import struct
-from collections.abc import Sequence
+from base64 import b64decode
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from importlib.util import find_spec
 from io import BytesIO
@@ -16,11 +17,16 @@ from urllib.parse import unquote
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
+from PIL import Image
 from trimesh.exchange.obj import load_obj
 from trimesh.resolvers import FilePathResolver
 
 JSON_START = 20
 """Offset of the JSON text in a .glb file [bytes]; its size is stored 8 bytes earlier."""
+CHUNK = 8
+"""Size of the header of the binary part of a .glb file [bytes]."""
+SKIPPED = "image/ktx2"
+"""Type of the pictures that trimesh skips."""
 OPTIONS = re.compile(r"(?:-[a-z]+(?:\s+(?:on|off|[rgbmlz]|[-+.\de]+))*\s+)+", re.IGNORECASE)
 """Options before the name of a picture in a file of OBJ materials, such as `-s 1 1 1`."""
 COMPRESSIONS = {
@@ -61,23 +67,46 @@ class Compressed(Exception):
 
 
 class _Files(FilePathResolver):
-    """The files next to a mesh; remembers the names of missing files."""
+    """The files next to a mesh; remembers the names of missing files and damaged pictures."""
 
     def __init__(self, source: str) -> None:
         super().__init__(source)
         self.missing: list[str] = []
+        self.damaged: list[str] = []
 
     def get(self, name: str) -> bytes:
         for form in (name, unquote(name), OPTIONS.sub("", name)):
             with suppress(OSError, ValueError):
-                return super().get(form.replace("\\", "/"))
-        self.missing.append(name)
-        raise FileNotFoundError(name)
+                data = super().get(form.replace("\\", "/"))
+                break
+        else:
+            self.missing.append(name)
+            raise FileNotFoundError(name)
+        if Path(name).suffix.lower() in Image.registered_extensions() and not _is_picture(data):
+            self.damaged.append(name)
+            raise FileNotFoundError(name)
+        return data
 
     def notes(self) -> list[str]:
-        names = ", ".join(dict.fromkeys(self.missing))
-        remedy = "Put the named files into the folder of the mesh."
-        return [f"It names files that are missing, so colours are: {names}. {remedy}"] * bool(names)
+        texts = {
+            "It names files that are missing, so colours are: {}. Put the named files into the "
+            "folder of the mesh.": self.missing,
+            "These textures cannot be decoded, so their colours are missing: {}. Export the mesh "
+            "again with PNG or JPEG textures.": self.damaged,
+        }
+        return [
+            text.format(", ".join(dict.fromkeys(names))) for text, names in texts.items() if names
+        ]
+
+
+def _is_picture(data: bytes) -> bool:
+    """Return whether a picture can be decoded."""
+    try:
+        with Image.open(BytesIO(data)) as picture:
+            picture.load()
+    except Exception:  # Pillow raises many types of exceptions
+        return False
+    return True
 
 
 def _load_obj(path: str, files: _Files) -> trimesh.Scene:
@@ -146,8 +175,12 @@ def _load_gltf(path: str, kind: str, files: _Files) -> tuple[trimesh.Scene, list
             raise Compressed(extension)
     posed = any("skin" in node for node in tree.get("nodes", ()))
     notes = [POSED] * posed + [KTX] * ("KHR_texture_basisu" in needed)
-    placed = _choose_coordinates(tree)
-    if placed:
+    placed, before = _choose_coordinates(tree), len(files.damaged)
+    for image, name, content in _find_embedded(tree, rest[CHUNK:]):
+        if not _is_picture(content):
+            image["mimeType"] = SKIPPED
+            files.damaged.append(name)
+    if placed or len(files.damaged) > before:
         head = json.dumps(tree).encode()
         head += b" " * (-len(head) % 4)
         sizes = struct.pack("<III4s", 2, JSON_START + len(head) + len(rest), len(head), b"JSON")
@@ -159,6 +192,29 @@ def _load_gltf(path: str, kind: str, files: _Files) -> tuple[trimesh.Scene, list
         if transform is not None and visual.uv is not None:
             visual.uv = _transform(visual.uv, **transform)
     return scene, notes
+
+
+def _find_embedded(
+    tree: dict[str, Any], binary: bytes
+) -> Iterator[tuple[dict[str, Any], str, bytes]]:
+    """Yield the entry, the name and the content of each embedded picture with base colours."""
+    materials = (each.get("pbrMetallicRoughness", {}) for each in tree.get("materials", ()))
+    used = [each["baseColorTexture"] for each in materials if "baseColorTexture" in each]
+    for texture in {each.get("index") for each in used}:
+        with suppress(KeyError, IndexError, TypeError, ValueError):
+            number = tree["textures"][texture]["source"]
+            image = tree["images"][number]
+            if image.get("mimeType") == SKIPPED:
+                continue
+            if image.get("uri", "").startswith("data:"):
+                content = b64decode(image["uri"].partition(",")[2])
+            else:
+                view = tree["bufferViews"][image["bufferView"]]
+                if "uri" in tree["buffers"][view["buffer"]]:
+                    continue
+                start = view.get("byteOffset", 0)
+                content = binary[start : start + view["byteLength"]]
+            yield image, image.get("name", f"picture {number}"), content
 
 
 def _choose_coordinates(tree: dict[str, Any]) -> dict[str, dict[str, Any]]:
