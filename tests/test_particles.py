@@ -23,6 +23,8 @@ from phy124.particles import (
 )
 from phy124.particles.seeding import MAX_PARTICLES
 from phy124.particles.solid import find_interior
+from phy124.scene import Scene
+from phy124.simulation import Simulation, prepare
 
 BALL = math.pi / 6
 SIDES = np.array([1, 0.7, 0.43])
@@ -260,8 +262,18 @@ def test_faint_floaters_are_no_part_of_the_object(rng):
     places = [0.31, -0.17, 0.4] + directions(25, rng) * rng.uniform(0.8, 1.4, (25, 1))
     kept, cleaning = clean(join([good, *(clump(place, rng) for place in places)]))
     assert (cleaning.stray, len(kept)) == (750, 20_000)
+    assert 25 <= cleaning.pieces < 30
+    assert f"{cleaning.pieces} separate pieces" in cleaning.notes[0]
     opaque = [clump(place, rng, count=90, opacity=0.95) for place in places]
     assert clean(join([good, *opaque]))[1].stray == 0, "what shows is a part of it"
+
+
+def test_report_notes_pieces_that_were_left_out(rng):
+    far = clump([1.4, 0, 0], rng, count=2, opacity=0.9)
+    scene = Scene.named("drop").replaced({"accuracy": {"cells": 8}, "time.frames": 1})
+    run = Simulation(prepare(join([ball(4000, rng), far]), scene))
+    (note,) = [note for note in run.run().report["notes"] if "left out" in note]
+    assert "1 separate piece was left out (2 of 4002 Gaussians)" in note
 
 
 def test_object_of_many_separate_pieces_is_complete(rng):

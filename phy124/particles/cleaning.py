@@ -48,6 +48,8 @@ class Cleaning:
     invisible: int = 0
     gigantic: int = 0
     stray: int = 0
+    pieces: int = 0
+    """Number of separate pieces to which the `stray` Gaussians belonged."""
     repaired_scales: int = 0
     repaired_quats: int = 0
     repaired_opacities: int = 0
@@ -72,13 +74,26 @@ class Cleaning:
             "beyond": f"had a coordinate or scale above {LARGEST:g} m and were dropped",
             "invisible": "were invisible (opacity under 1/255 or no extent) and were dropped",
             "gigantic": "were larger than half the object and were dropped",
-            "stray": "were too far from the object and were dropped",
+            "stray": f"were in {self.pieces} separate pieces smaller than {STRAY:g} times the "
+            "largest and were dropped",
             "repaired_scales": "had negative or zero scales, which were repaired",
             "repaired_quats": "had a quaternion of length zero, replaced by no rotation",
             "repaired_opacities": "had an opacity above 1, replaced by 1",
         }
         counts = {name: getattr(self, name) for name in texts}
         return [f"{n} of {self.total} Gaussians {texts[k]}." for k, n in counts.items() if n]
+
+    @property
+    def notes(self) -> list[str]:
+        """Notes for the user: pieces that are missing in the videos."""
+        if not self.pieces:
+            return []
+        pieces = "piece was" if self.pieces == 1 else "pieces were"
+        return [
+            f"{self.pieces} separate {pieces} left out ({self.stray} of {self.total} Gaussians), "
+            f"because they are smaller than {STRAY:g} times the largest piece. To keep them, "
+            "simulate them as further objects."
+        ]
 
 
 def clean(gaussians: Gaussians) -> tuple[Gaussians, Cleaning]:
@@ -95,7 +110,7 @@ def clean(gaussians: Gaussians) -> tuple[Gaussians, Cleaning]:
     usable = usable.select(visible)
     huge = _are_gigantic(usable)
     usable = usable.select(~huge)
-    stray = _are_stray(usable)
+    stray, pieces = _find_stray(usable)
     usable = usable.select(~stray)
     survivors = np.zeros(total, bool)
     survivors[np.flatnonzero(near)[visible][~huge][~stray]] = True
@@ -113,6 +128,7 @@ def clean(gaussians: Gaussians) -> tuple[Gaussians, Cleaning]:
         invisible=int((~visible).sum()),
         gigantic=int(huge.sum()),
         stray=int(stray.sum()),
+        pieces=pieces,
         survivors=survivors,
         **repairs,
     )
@@ -232,15 +248,16 @@ def _are_gigantic(gaussians: Gaussians) -> NDArray[np.bool_]:
     return large & (longest > GIGANTIC * (high - low).max())
 
 
-def _are_stray(gaussians: Gaussians) -> NDArray[np.bool_]:
+def _find_stray(gaussians: Gaussians) -> tuple[NDArray[np.bool_], int]:
+    """Return whether each Gaussian is stray [N], and the number of stray groups."""
     if len(gaussians) * STRAY < 1:
-        return np.zeros(len(gaussians), bool)
+        return np.zeros(len(gaussians), bool), 0
     means = gaussians.means.astype(np.float64)
     low = weighted_quantile(means, gaussians.opacities, 0.005)
     high = -weighted_quantile(-means, gaussians.opacities, 0.005)
     side = (high - low).max()
     if side == 0:
-        return np.zeros(len(gaussians), bool)
+        return np.zeros(len(gaussians), bool), 0
     # N points on a surface are about side / sqrt(N) apart; gaps between random points are up to a
     # few times as wide.
     cell = max(GAP / 2, 4 / np.sqrt(len(means)))
@@ -257,7 +274,7 @@ def _are_stray(gaussians: Gaussians) -> NDArray[np.bool_]:
     members = np.bincount(group, minlength=count + 1)
     seen = np.bincount(group, visible_area(gaussians), minlength=count + 1)
     stray = (members < STRAY * members.max()) | (seen < STRAY * seen.max())
-    return stray[group]
+    return stray[group], int((stray & (members > 0)).sum())
 
 
 def weighted_quantile(values: NDArray, weights: NDArray, fraction: float) -> NDArray[np.float64]:

@@ -69,6 +69,8 @@ class Body(NamedTuple):
     scene: Scene
     """The parts of this scene select Gaussians by their indices after cleaning."""
     cleaning: list[str]
+    notes: list[str]
+    """Notes about pieces that cleaning dropped."""
     gaussians: Gaussians
     """The N Gaussians at rest [m]."""
     appearance: Appearance
@@ -275,10 +277,10 @@ def _with_particles(placed: Placed, spacing: float) -> Body:
     elif scene.binding == "lattice":
         particles = scatter(particles, interior, materials, spacing=spacing, seed=scene.seed)
     appearance = make_appearance(gaussians, particles, moves, materials, scene, spacing)
-    sentences = placed.cleaned.sentences
+    cleaned = placed.cleaned.sentences, placed.cleaned.notes
     interiors = [(interior, scene.object.size)]
     placed = placed._replace(interior=interior)
-    return Body(scene, sentences, gaussians, appearance, materials, stiffness, interiors, placed)
+    return Body(scene, *cleaned, gaussians, appearance, materials, stiffness, interiors, placed)
 
 
 def _without_particles(placed: Placed) -> Body:
@@ -288,8 +290,8 @@ def _without_particles(placed: Placed) -> Body:
     real = {"max_stretch": np.zeros(0), "holds": np.zeros(0), "kinds": np.zeros(0, np.int64)}
     flags = {"rounds": np.zeros(0, bool), "flows": np.zeros(0, bool)}
     appearance = Appearance(placed.gaussians, particles, still, **real, **flags)
-    sentences = placed.cleaned.sentences
-    return Body(placed.scene, sentences, placed.gaussians, appearance, [], None)
+    cleaned = placed.cleaned.sentences, placed.cleaned.notes
+    return Body(placed.scene, *cleaned, placed.gaussians, appearance, [], None)
 
 
 def _join(bodies: list[Body], scene: Scene) -> Body:
@@ -298,7 +300,7 @@ def _join(bodies: list[Body], scene: Scene) -> Body:
     pairs = zip(scene.objects, bodies[1:], strict=True)
     objects = [item.model_copy(update={"parts": body.scene.parts}) for item, body in pairs]
     update = {"parts": bodies[0].scene.parts, "objects": tuple(objects)}
-    named = zip(scene.names, bodies, strict=True)
+    named = list(zip(scene.names, bodies, strict=True))
     stiffness = None
     if any(body.stiffness is not None for body in bodies):
         stiffness = np.concatenate(
@@ -312,6 +314,7 @@ def _join(bodies: list[Body], scene: Scene) -> Body:
     return Body(
         scene.model_copy(update=update),
         [f"{name}: {sentence}" for name, body in named for sentence in body.cleaning],
+        [f"{name}: {note}" for name, body in named for note in body.notes],
         as_objects({index: body.gaussians for index, body in enumerate(bodies)}),
         _join_appearances(bodies),
         [section for body in bodies for section in body.materials],

@@ -127,6 +127,7 @@ def _notes(run: Run) -> list[str]:
         *note_scene(scene),
         *_unregistered_notes(scene.unregistered),
         *(note for observer in run.observers for note in observer.notes()),
+        *run.setup.notes,
         *run.remarks,
     ]
 

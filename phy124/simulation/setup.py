@@ -47,6 +47,8 @@ class Setup:
     cleaned_scene: Scene
     """The scene, whose parts select Gaussians by the indices after cleaning."""
     cleaning: list[str]
+    notes: list[str]
+    """Notes about pieces that cleaning dropped."""
     gaussians: Gaussians
     """The cleaned Gaussians at rest [m]."""
     interiors: Sequence[tuple[Solid, float]]
@@ -162,6 +164,7 @@ def prepare(
             solid_scene=solid_scene,
             cleaned_scene=body.scene,
             cleaning=body.cleaning,
+            notes=body.notes,
             gaussians=body.gaussians,
             interiors=body.interiors,
             placed=body.placed,
