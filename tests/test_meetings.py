@@ -93,6 +93,19 @@ def test_block_hangs_from_a_sticky_block_near_which_it_starts(gap):
     assert sunk == pytest.approx(1000 * 2.0 * 0.4**2 / 3 / DAMPED.E, abs=0.02 * DX)
 
 
+@pytest.mark.parametrize(("shape", "gap"), [("box", 0.4), ("sphere", 0.0), ("sphere", 0.5)])
+def test_free_solid_hangs_from_a_sticky_block_near_which_it_starts(shape, gap):
+    place = (0.2, 0.2, -0.15 - gap * DX)
+    solid = FreeBody("solid", shape, (0.15,) * 3, place, density=500.0, sticky=True)
+    clamp, pull = Held(lower=(-1, -1, 0.2), upper=(1, 1, 1)), Gravity(g=(0, 0, -2.0))
+    solver = make_bodies([block((0.4, 0.4, 0.4))], free=[solid], forces=[pull], boundaries=[clamp])
+    solver.advance(0.5)
+    solver.free.begin()
+    solver.advance(1.0)
+    assert solver.free.wrenches(0.5)[0].force[2] == pytest.approx(2.0 * solid.mass, rel=0.02)
+    assert solver.free.poses()[0, 2] == pytest.approx(place[2], abs=0.1 * DX)
+
+
 def test_glued_blocks_turn_together():
     """Two blocks start 0.4 cells apart and turn about the middle between them."""
     solids = [block((0.4, 0.4, 0.4), low=(x, 0, 0), per=10) for x in (0, 0.44)]

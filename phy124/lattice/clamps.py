@@ -220,10 +220,22 @@ def acts_on(part: Any, model: Model, body: NDArray[np.int64]) -> NDArray[np.bool
 
 def distances(part: Any, model: Model, x: NDArray) -> NDArray[np.float64]:
     """Return a simple wall's normal and signed distance [m] at points, as rows [N,4]."""
+    return distances_from(part.outline(), part.geometry(model), model, x)
+
+
+def distances_from(shape: str, geometry: Any, model: Model, x: NDArray) -> NDArray[np.float64]:
+    """Return a shape's normal and signed distance [m] at points, as rows [N,4].
+
+    Args:
+        shape: Name of the shape.
+        geometry: Vectors that define the shape [3,3] (phy124/kernels/distance.py).
+        model: The model, with the precision and the device.
+        x: The points [N,3], m.
+    """
     t = types(model.real)
-    shape, points = t.mat33(*np.ravel(part.geometry(model))), model.array(x, t.vec3)
+    vectors, points = t.mat33(*np.ravel(geometry)), model.array(x, t.vec3)
     out = wp.zeros(len(x), dtype=t.vec4, device=model.device)
-    kernel = make_distances(part.outline(), model.real)
-    wp.launch(kernel, len(x), [shape, points], [out], device=model.device)
+    kernel = make_distances(shape, model.real)
+    wp.launch(kernel, len(x), [vectors, points], [out], device=model.device)
     far: NDArray[Any] = out.numpy()
     return far.astype(np.float64)

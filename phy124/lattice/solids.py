@@ -20,7 +20,8 @@ from phy124.kernels.lattice.rows import rows_for
 from phy124.kernels.lattice.work import SOLIDS
 from phy124.kernels.launches import put
 from phy124.kernels.work import EXCHANGE, IMPULSE
-from phy124.lattice.clamps import PassedOn
+from phy124.lattice.clamps import PassedOn, distances_from
+from phy124.lattice.gaps import initial_gaps
 from phy124.lattice.impulses import ContactWork
 from phy124.lattice.surface import Surface
 from phy124.lattice.walls import AHEAD, CLOSE, REACH, Nodes
@@ -186,9 +187,23 @@ class _Touch(Kept):
         )
         self.side = wp.zeros_like(self.force)
         """Normals of the surface points near a box and on flat parts of the surface [S,3]."""
+        self._space = np.zeros(count)
+        """Distance from the solid at which contact with each point begins [S], m."""
+        if solid.sticky:
+            local = (surface.x - solid.place) @ solid.axes
+            far = distances_from(solid.shape, solid.geometry(), model, local)
+            normal = far[:, :3] @ solid.axes.T
+            self._space = initial_gaps(far[:, 3], normal, surface.normal, model.dx)
         deepest = DEEPEST * model.dx
-        inputs = [self._list, 0, 0.0, deepest, shape, solid.mass, moments, *points, self.side]
-        inputs += [nodes.movable, nodes.u, tracks.clock, state]
+        inputs = [self._list, 0, 0.0, deepest, shape, solid.mass, moments, *points]
+        inputs += [
+            model.array(self._space, model.real),
+            self.side,
+            nodes.movable,
+            nodes.u,
+            tracks.clock,
+            state,
+        ]
         outputs = [trial, nodes.v, gap, place, yields, self.force]
         kernel = kernels.make_solid_touch(solid.shape, model.real, nodes.rows)
         self._launches = [cast("wp.Launch", model.launch(kernel, 1, inputs, outputs))]
@@ -228,7 +243,7 @@ class _Touch(Kept):
         if self._look is None:
             return
         self._look.launch()
-        near = np.flatnonzero((self._gaps.numpy() < reach + more) & self._mine)
+        near = np.flatnonzero((self._gaps.numpy() - self._space < reach + more) & self._mine)
         if not np.array_equal(near, self._near):
             gone = np.setdiff1d(self._near, near)
             if len(gone):

@@ -153,7 +153,7 @@ def make_solid_touch(shape: str, real: Any, rows: Rows):
     For each listed point, `gap_out` receives the normal of the solid and the distance from the
     solid (infinite if out of reach). If a flat body touches an edge of a box, the normal of the
     body (`side`) is used. The normal of the box, which rotates at the edge, would stop a sliding
-    box.
+    box. Contact with a point begins at the distance `space` from the solid.
     """
     t = types(real)
     moved_by, yielding, strike = rows.moved_by, rows.yielding, rows.strike
@@ -171,6 +171,7 @@ def make_solid_touch(shape: str, real: Any, rows: Rows):
         nodes,
         weights,
         rest,
+        space: t.reals,
         side: t.vec3s,
         inverse,
         u,
@@ -204,6 +205,7 @@ def make_solid_touch(shape: str, real: Any, rows: Rows):
                     if way < deepest:
                         n = facing
                         far = -way
+            far -= space[s]
             place_out[s] = y
             yields_out[s] = yielding(inverse, nodes, weights, s)
             if far < reach and yields_out[s] > real(0.0):
