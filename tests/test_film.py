@@ -14,7 +14,14 @@ from phy124.errors import InputError
 from phy124.io.formats import usd
 from phy124.io.ply import read_ply
 from phy124.rendering import film as film_module
-from phy124.rendering.film import describe_playback, film, film_notes, playback, refuse_unfilmable
+from phy124.rendering.film import (
+    describe_playback,
+    film,
+    film_notes,
+    playback,
+    refuse_rate,
+    refuse_unfilmable,
+)
 from phy124.scene import Scene, View
 from support.clips import AWAY, flight
 from support.videos import read_video
@@ -148,6 +155,15 @@ def test_a_rate_that_no_video_has_is_refused_at_once(time, chosen, field):
     remedy = float(str(refused.value).rpartition("= ")[2].rstrip("."))
     refuse_unfilmable(scene.replaced({"view.speed": remedy}))
     refuse_unfilmable(scene.replaced({"view.formats": ["png"]}))
+
+
+@pytest.mark.parametrize(("speed", "allowed"), [(100.0, 10.0), (0.004, 0.0042)])
+def test_a_speed_that_no_video_of_a_clip_has_is_refused(tmp_path, clip, speed, allowed):
+    with pytest.raises(InputError, match=rf"^view\.speed = {speed:g}.*0\.0042 to 10\."):
+        film(clip, view(speed=speed), tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+    refuse_rate(clip.fps, view(speed=allowed))
+    film(clip, view(speed=speed, formats=["png"]), tmp_path / "out")
 
 
 def test_film_makes_its_folder(tmp_path, clip):

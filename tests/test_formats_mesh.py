@@ -207,7 +207,7 @@ def test_surface_has_the_pose_of_the_object(tmp_path, capsys, older):
     path, out = tmp_path / "a.obj", tmp_path / "out"
     trimesh.util.concatenate(parts).export(path)
     few = ["--set", "accuracy.cells=8", "object.turn=[0,0,30]", "--frames", "1", "--gaussians"]
-    few += ["400", "--views", "front", "--size", "32", "--out", str(out)]
+    few += ["2000", "--views", "front", "--size", "32", "--out", str(out)]
     assert run_command(["simulate", str(path), "--rotate", "0,40,0", "--scene", "drop", *few]) == 0
     clip = Clip.load(out / "clip.safetensors")
     if older:
@@ -232,7 +232,7 @@ def test_broken_surface_is_refused(tmp_path, spun, capsys, corner, sentence):
     surface.write_text(f"v 0 0 0\nv 0 0 1\nv {corner}\nf 1 2 3\n")
     words = ["export", _saved(tmp_path, spun), "--to", "moving-mesh", "--surface", str(surface)]
     assert run_command(words) == 2
-    assert f"mesh = {surface}" in (message := capsys.readouterr().err) and sentence in message
+    assert f"surface = {surface}" in (message := capsys.readouterr().err) and sentence in message
     assert not (tmp_path / "clip.glb").exists()
 
 

@@ -17,7 +17,7 @@ from phy124.io.flaws import describe_flaws
 from phy124.io.video import Picture, refuse_missing_encoder, write_mp4
 from phy124.metrics.comparison import Likeness, Pictures, check_comparable, compare
 from phy124.progress import Progress
-from phy124.rendering.film import cameras, playback
+from phy124.rendering.film import cameras, playback, refuse_rate
 from phy124.rendering.frames import render_frames
 from phy124.runtime.device import pick_device
 from phy124.scene import Scene, View
@@ -54,6 +54,7 @@ class Compare:
         out = self.out or paths[0].parent / f"compare-{_name(paths[1])}"
         device = pick_device(self.device)
         refuse_missing_encoder()
+        refuse_rate(a.fps, view)
         seen = []
         with Bars(quiet=self.json, keeps=True) as bars, staging(out, keeps=True) as folder:
             with bars.keeping():

@@ -77,7 +77,7 @@ def cover_surface(
     lit = AMBIENT + (1 - AMBIENT) * facing if shaded else np.ones(len(points))
     colours, opacities = ((lit * bright)[:, None] * rgb).clip(0, 1), np.full(len(points), 0.95)
     made = Gaussians.from_rgb(points, _facing(normals), scales, opacities, colours)
-    return limit_to_surface(made, normals)
+    return limit_to_surface(made)
 
 
 def choose_triangles(

@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 
 from phy124.gaussians import Gaussians
 from phy124.particles.cleaning import compute_bounds, weighted_quantile
+from phy124.particles.surface import shortest_axes
 
 OUTERMOST = 0.001
 """Fraction of the opacity that is excluded at each end, as in `compute_bounds`."""
+TINY = 1e-9
 
 
 def keep_extent(gaussians: Gaussians, before: Gaussians, reach: NDArray) -> Gaussians:
@@ -27,25 +29,27 @@ def keep_extent(gaussians: Gaussians, before: Gaussians, reach: NDArray) -> Gaus
     return _move_inwards(gaussians, *compute_bounds(before), reach)
 
 
-def limit_to_surface(gaussians: Gaussians, normals: NDArray, depth: float = 0.0) -> Gaussians:
-    """Move flat Gaussians inwards so that they do not extend beyond the ends of the surface.
+def limit_to_surface(gaussians: Gaussians, depth: float = 0.0) -> Gaussians:
+    """Move flat Gaussians inwards so that they do not extend beyond the ends of their surface.
 
-    Args:
-        gaussians: N flat Gaussians on a surface.
-        normals: Unit normals of the surface [N,3].
-        depth: Distance of the centres below the surface [m].
+    `depth` is the distance of the centres below the surface [m].
     """
     low = weighted_quantile(gaussians.means, gaussians.opacities, OUTERMOST) - depth
     high = -weighted_quantile(-gaussians.means, gaussians.opacities, OUTERMOST) + depth
-    thickness = np.abs(normals) * gaussians.scales.min(axis=1, keepdims=True)
+    thickness = np.abs(shortest_axes(gaussians)) * gaussians.scales.min(axis=1, keepdims=True)
     return _move_inwards(gaussians, low, high, thickness)
 
 
 def _move_inwards(gaussians: Gaussians, low: NDArray, high: NDArray, reach: NDArray) -> Gaussians:
     """Move Gaussians that extend beyond a box and also farther than `reach` [N,3] from their
-    centres.
+    centres; flat Gaussians stay in their planes.
     """
     means, now = gaussians.means.astype(np.float64), gaussians.deviations()
     down = np.minimum(np.maximum(high, means + reach) - (means + now), 0)
     up = np.maximum(np.minimum(low, means - reach) - (means - now), 0)
-    return replace(gaussians, means=means + down + up)
+    normals = shortest_axes(gaussians).astype(np.float64)
+    for axis, inwards in enumerate((down + up).T):
+        # The component of the axis in the plane; its square is the component along the axis.
+        along = np.eye(3)[axis] - normals[:, axis : axis + 1] * normals
+        means += along * (inwards / np.maximum(along[:, axis], TINY))[:, None]
+    return replace(gaussians, means=means)

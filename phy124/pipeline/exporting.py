@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import NamedTuple
 
+from phy124.errors import InputError
 from phy124.gaussians import Gaussians
 from phy124.generators.mesh import load_pieces
 from phy124.io.clip import Clip
@@ -66,7 +67,10 @@ def export_clip(
     drawn = (first if shine is None else shine.shape(first)).gaussians
     files = [path]
     if moves and surface is not None:
-        pieces, axes = load_pieces(surface)
+        try:
+            pieces, axes = load_pieces(surface)
+        except InputError as error:
+            raise InputError("surface", surface, error.limit, error.remedy) from error
         write_moved(path, clip, fit_to_clip(pieces, clip, axes), progress=progress)
         notes += note_separation(clip)
     elif moves:

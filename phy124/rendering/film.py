@@ -83,11 +83,14 @@ def film(
         The files and folders that were written.
 
     Raises:
-        InputError: The clip lacks the data of an output, or a package is missing.
+        InputError: The clip lacks the data of an output, a package is missing, or no video can play
+            the clip at the view's speed.
     """
     folder, context = Path(folder), RunContext.of(context, **fields)
     watch = context.watch
     refuse_unkept(clip, view)
+    if set(view.formats) & PLAYED:
+        refuse_rate(clip.fps, view)
     folder.mkdir(parents=True, exist_ok=True)
     with watch.stage("render"):
         stage, shine = make_stage(clip, view, device=context.device), make_shine(clip, view)
@@ -374,13 +377,25 @@ def refuse_unfilmable(scene: Scene) -> None:
     """
     refuse_outputs(scene.view, scene.time.frames)
     refuse_missing_writers(scene.view)
-    shown, (low, high) = playback(scene.time.fps, scene.view), FPS_RANGE
-    if not low <= shown <= high and set(scene.view.formats) & PLAYED:
-        limit = f"videos have {low:g} to {high:g} frames per second, not {shown:g}."
-        field, value = ("view.speed", scene.view.speed)
-        if scene.view.speed == 1:
-            field, value = ("time.fps", scene.time.fps)
-        raise InputError(field, value, limit, f"Set view.speed = {24 / scene.time.fps:.3g}.")
+    if set(scene.view.formats) & PLAYED:
+        refuse_rate(scene.time.fps, scene.view)
+
+
+def refuse_rate(fps: float, view: View) -> None:
+    """Refuse a view if no video can play a clip of `fps` frames per second at its speed.
+
+    Raises:
+        InputError: The frame rate of the video would be outside `FPS_RANGE`.
+    """
+    shown, (low, high) = playback(fps, view), FPS_RANGE
+    if low <= shown <= high:
+        return
+    limit = f"videos have {low:g} to {high:g} frames per second, not {shown:g}"
+    slowest, fastest = math.ceil(1e4 * low / fps) / 1e4, math.floor(1e4 * high / fps) / 1e4
+    speeds = f"{max(slowest, 1e-3):g} to {min(fastest, 100.0):g}"
+    limit = f"{limit}: with {fps:g} frames per second of motion, view.speed must be from {speeds}."
+    field, value = ("view.speed", view.speed) if view.speed != 1 else ("time.fps", fps)
+    raise InputError(field, value, limit, f"Set view.speed = {24 / fps:.3g}.")
 
 
 def refuse_missing_writers(view: View) -> None:

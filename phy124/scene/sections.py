@@ -16,6 +16,7 @@ from phy124.schema.section import Section, omit_default
 Number = Annotated[int, Field(ge=0, le=10_000_000)]
 Seconds = Annotated[float, Field(ge=1e-3, le=1e4)]
 Rate = Annotated[float, Field(ge=1, le=1000)]
+MOST_FRAMES = 10_000
 LENGTH = TypeAdapter(tuple[Seconds, Rate])
 """Validates the length of a motion [s] and the frames per second."""
 FLOOR = "floor"
@@ -57,7 +58,7 @@ class Object(Section):
 class Timing(Section):
     """Number and rate of the stored frames, and limits on the substep and the computing time."""
 
-    frames: int = Field(default=14, ge=1, le=10_000)
+    frames: int = Field(default=14, ge=1, le=MOST_FRAMES)
     """Number of frames."""
     fps: Rate = 24.0
     """Frames per second of motion."""
@@ -89,8 +90,15 @@ class Timing(Section):
             seconds, fps = LENGTH.validate_python((data["seconds"], rate))
         except ValidationError:
             return data  # the validation of the fields reports this error
+        frames = max(1, round(seconds * fps))
+        if frames > MOST_FRAMES:
+            limit = (
+                f"with {fps:g} frames per second, it makes {frames:,} frames instead of at most "
+            )
+            remedy = f"Set time.seconds to at most {MOST_FRAMES / fps:g}, or reduce time.fps."
+            raise InputError("time.seconds", seconds, f"{limit}{MOST_FRAMES:,}.", remedy)
         rest = {name: value for name, value in data.items() if name != "seconds"}
-        return {**rest, "frames": max(1, round(seconds * fps))}
+        return {**rest, "frames": frames}
 
     @property
     def length(self) -> float:

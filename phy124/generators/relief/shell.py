@@ -67,7 +67,7 @@ class Shell:
         made = Gaussians.from_rgb(
             *(v.astype(np.float32) for v in (means, quats, scales, opacities, self.rgb))
         )
-        return limit_to_surface(made, normals, DRAWN_IN / WORK)
+        return limit_to_surface(made, DRAWN_IN / WORK)
 
 
 def join(*shells: Shell) -> Shell:

@@ -17,7 +17,7 @@ from phy124.rendering.compose.colours import match_colours
 from phy124.rendering.compose.photograph import Photograph as Photograph
 from phy124.rendering.compose.photograph import match
 from phy124.rendering.compose.photograph import photograph_of as photograph_of
-from phy124.rendering.film import playback
+from phy124.rendering.film import playback, refuse_rate
 from phy124.rendering.frames import render_frames
 from phy124.rendering.render import BLACK
 from phy124.rendering.stage.build import make_stage
@@ -56,6 +56,7 @@ def compose(
     """
     context = RunContext.of(context, **fields)
     device, progress = context.device, context.progress
+    refuse_rate(clip.fps, view)
 
     def each() -> None:
         progress("compose", 0, len(clip))
