@@ -11,6 +11,7 @@ from phy124.errors import InputError
 from phy124.forces import WrenchForce
 from phy124.gaussians import Gaussians
 from phy124.generators.shapes import ball
+from phy124.lattice.solver import LatticeSolver
 from phy124.live import Live, RealTime, choose, engine, held_rate
 from phy124.live import inputs as live_inputs
 from phy124.live.inputs import GrabRecord, Inputs
@@ -69,6 +70,29 @@ def test_session_replays_as_a_scene_bit_for_bit():
         assert np.array_equal(frame.gaussians.means, clip.means[index]), index
         assert np.array_equal(frame.gaussians.quats, clip.quats[index]), index
     assert clip.report["complete"] and not run.notes
+
+
+def test_new_target_of_the_hand_replaces_only_a_track(monkeypatch):
+    """The motion is that of a run that binds all forces and walls again."""
+
+    def hold(run):
+        bind, bound = run._run.solver.bind, []
+        monkeypatch.setattr(run._run.solver, "bind", lambda **acting: bound.append(bind(**acting)))
+        list(run.frames(2))
+        run.grab((0, 0, 0.9))
+        frames = []
+        for step in range(20):
+            run.move_to((0, 0.02 * step, 1.0))
+            frames.append(run.step())
+        run.release()
+        return [*frames, run.step()], len(bound)
+
+    frames, bound = hold(live())
+    monkeypatch.setattr(LatticeSolver, "retarget", lambda *_: False)
+    others, times = hold(live())
+    assert bound <= 4 and times == 21
+    for frame, other in zip(frames, others, strict=True):
+        assert np.array_equal(frame.gaussians.means, other.gaussians.means)
 
 
 def test_live_run_keeps_only_acting_forces():

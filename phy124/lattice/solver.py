@@ -36,7 +36,7 @@ from phy124.mpm.rejection import StepRejection
 from phy124.mpm.repair import Repair
 from phy124.mpm.runner import Runner
 from phy124.mpm.stage import Accumulator, Attachable, Named, Stage, launches
-from phy124.mpm.tracks import Tracks
+from phy124.mpm.tracks import Track, Tracks
 from phy124.mpm.workers import FOLLOW, SCHEDULE, Timings, run_timed, usable_workers
 
 NODES = ("u", "residue", "v", "lagging")
@@ -171,6 +171,19 @@ class LatticeSolver(Kept):
         measured = self.limits.measured
         self.limits.look()
         self.limits.measured = measured
+
+    def retarget(self, moved: Sequence[tuple[Track, Track]]) -> bool:
+        """Replace some tracks, as `bind` would; return False if only `bind` can replace them.
+
+        Each element of `moved` contains the present track and the new track.
+        """
+        known = self.tracks.tracks
+        if any(old not in known or len(old.keys) != len(new.keys) for old, new in moved):
+            return False
+        for old, new in moved:
+            self.tracks.put(known.index(old), new)
+        self._sample.launch()
+        return True
 
     def keep_pushes(self, sums: wp.array) -> None:
         """From now on, sum the impulse and the work of forces on points, in one row per worker."""

@@ -18,6 +18,9 @@ from phy124.mpm.tracks import Keyframes
 from phy124.scene import Scene
 from phy124.schema.region import Vector
 
+ROUNDING = 1e-9
+"""Times of frames may differ by rounding errors of at most this size [s]."""
+
 
 @dataclass
 class GrabRecord:
@@ -37,7 +40,7 @@ class GrabRecord:
         """Return the user's grab as a force; targets that no longer matter at `since` [s] are
         omitted.
         """
-        before = bisect_right(self.times, since - self.start) - 1
+        before = bisect_right(self.times, since - self.start + ROUNDING) - 1
         first = max(min(before, len(self.times) - 2), 0)
         return Grab(
             start=self.start,
@@ -170,7 +173,7 @@ class Inputs:
         """Remove inputs that start at `since` [s] or later; end inputs that act at `since`."""
         self.grabs = [held for held in self.grabs if held.start < since]
         for held in self.grabs:
-            kept = sum(held.start + time <= since + 1e-9 for time in held.times)
+            kept = sum(held.start + time <= since + ROUNDING for time in held.times)
             del held.times[max(kept, 2) :], held.targets[max(kept, 2) :]
             held.end = since if held.end is None else min(held.end, since)
         self.pushes = {
@@ -182,7 +185,7 @@ class Inputs:
         self.gravity = [g for g in self.gravity if g.start < since or g.start == 0.0]
         self.softness = [key for key in self.softness if key[0] < since] or [(0.0, 1.0)]
         for moved in self.moved.values():
-            kept = sum(time <= since + 1e-9 for time in moved.times)
+            kept = sum(time <= since + ROUNDING for time in moved.times)
             del moved.times[max(kept, 1) :], moved.points[max(kept, 1) :]
         self.moved = {i: moved for i, moved in self.moved.items() if len(moved.times) > 1}
 

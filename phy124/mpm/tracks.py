@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from phy124.kernels.arguments import types
-from phy124.kernels.launches import record
+from phy124.kernels.launches import put, record
 from phy124.kernels.profile import DRIFT, JOINS, KICK, LIMITED, MEAN, make_sampler
 from phy124.schema.bounds import LONGEST, SHORTEST, Factor, Instant
 from phy124.schema.region import Vector
@@ -307,6 +307,15 @@ class Tracks:
         self.values = wp.zeros(len(counts), dtype=t.vec4, device=self.device)
         self.rates = wp.zeros(len(counts), dtype=t.vec4, device=self.device)
         self.clock = clock
+
+    def put(self, slot: int, track: Track) -> None:
+        """Replace an uploaded track by a track with the same number of keys."""
+        first, count = int(self.starts.numpy()[slot]), len(track.keys)
+        self.tracks[slot], keys = track, np.arange(first, first + count)
+        put(self.times, np.array([key[0] for key in track.keys]), keys)
+        put(self.keys, np.array([key[1] for key in track.keys]), keys)
+        span = track.start, track.end, track.origin, track.period
+        put(self.spans, np.array([span]), np.array([slot]))
 
     def record(
         self, clock: wp.array | None = None, outputs: Sequence[wp.array] | None = None

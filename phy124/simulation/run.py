@@ -37,6 +37,7 @@ from phy124.simulation.report import report_clip, report_run
 from phy124.simulation.setup import Setup
 from phy124.simulation.solver import kernels, make_solver, wrap
 from phy124.simulation.spent import Spent
+from phy124.simulation.targets import find_moved
 
 BRIEF = 1e-3
 """Length of the substep that advances velocities to the time of the positions, relative to the last
@@ -75,6 +76,7 @@ class Simulation:
                 too thin for the grid.
         """
         self.setup, self.scene, self.device = setup, setup.scene, setup.context.device
+        self._asked = setup.scene
         with setup.context.watch.stage("compile"):
             missing = kernels(setup.solid_scene, self.device)
             compile_missing(missing, self.device, setup.context.progress)
@@ -155,7 +157,13 @@ class Simulation:
             InputError: A force or boundary does not fit the object or the grid. The run is then
                 unchanged.
         """
-        rejected = self.solver.rejection.rejected
+        from phy124.lattice.solver import LatticeSolver  # its import is slow
+
+        solver, moved = self.solver, find_moved(self._asked, scene)
+        if moved is not None and isinstance(solver, LatticeSolver) and solver.retarget(moved):
+            self.scene, self._asked = self.scene.model_copy(update={"forces": scene.forces}), scene
+            return
+        rejected, asked = self.solver.rejection.rejected, scene
         scene = keep_lattice(scene, self.setup.scene)
         solid_scene = keep_solver(scene.with_solids(), self.setup.solid_scene)
         if solid_scene.projects:
@@ -164,7 +172,7 @@ class Simulation:
             refuse_for_lattice(scene, self.setup.materials)
         self.solver.bind(**wrap(solid_scene, self.observers))
         self.solver.rejection.rejected = rejected
-        self.scene = scene
+        self.scene, self._asked = scene, asked
         for observer in self.observers:
             observer.change(scene)
 
