@@ -167,6 +167,13 @@ def test_force_on_particles_moves_the_liquid_like_gravity():
     assert fall == pytest.approx(G / 2 * (10 / 24) ** 2, rel=1e-3)
 
 
+def test_heavy_body_sinks_to_the_floor():
+    """Its contact with the floor does not depend on the density of the liquid."""
+    solver = run(with_block(2.7 * DENSITY, 1.5 * DX, below=0.75, E=1e6), 18)
+    lowest = solver.state.x.numpy()[solver.model.particles(1), 2].min() - DX / 4
+    assert abs(lowest) < 0.2 * DX
+
+
 def with_solid(solid: FreeBody, mixture: bool):
     """A free solid in a tank of water, alone or beside an elastic block."""
     water = block((0, 0, 0), (1, 1, LEVEL), CELLS)

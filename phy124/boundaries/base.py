@@ -36,6 +36,8 @@ SWEEPS = 2
 """Number of passes per substep over the columns of nodes perpendicular to a curved wall. Such
 columns cross, so each pass uses the velocities that other columns computed in the previous pass.
 """
+SAME = 1.001
+"""Largest ratio of densities that count as equal."""
 THINNEST = 1.0
 """Smallest allowed half thickness of a solid [cells]. A thinner solid may contain no grid nodes."""
 Corners = tuple[NDArray[np.float64], NDArray[np.float64]]
@@ -282,7 +284,9 @@ class Boundary(Section):
 
 def _columns(model: Model, grid: Grid) -> list[Any]:
     layers = wp.vec2i(*(grid.layers or (0, int(grid.size[0]))))
-    return [layers, lightest(model), contact_mass_fraction(model), seep_distance(model)]
+    run = grid.particles
+    touch = [lightest(model, run), contact_mass_fraction(model, run), seep_distance(model, run)]
+    return [layers, *touch]
 
 
 class Movable(Boundary):
@@ -306,20 +310,21 @@ class Movable(Boundary):
         return {f"motion.{name}": value for name, value in slower.items()}
 
 
-def lightest(model: Model) -> float:
-    """Return the mass [kg] of a grid node that is full of the lightest material.
+def lightest(model: Model, run: slice) -> float:
+    """Return the mass [kg] of a node that is full of the lightest material of a body.
 
-    The result is infinite if no material yields and all materials are equally dense.
+    The result is infinite if no material of the body yields and all are equally dense. `run` are
+    the body's particles. Other bodies have grids of their own.
 
     In a material that yields, cells may contain up to 1.6 times as many particles as at rest
     without being compressed. Elastic material is always compressed in a cell that
     contains more mass than at rest.
     """
-    densities = {section.density for section in model.materials}
-    return min(densities) * model.dx**3 if yields(model) or len(densities) > 1 else math.inf
+    least, most = model.densities_in(run)
+    return least * model.dx**3 if yields(model, run) or most > SAME * least else math.inf
 
 
-def contact_mass_fraction(model: Model) -> float:
+def contact_mass_fraction(model: Model, run: slice) -> float:
     """Return a mass at a wall, relative to the expected mass; with more mass, a body touches the
     wall.
 
@@ -328,10 +333,10 @@ def contact_mass_fraction(model: Model) -> float:
     few particles sink into the wall. The fraction is 0.8 for materials that yield, because their
     particles are spaced less regularly. Contact then begins 0.15 cells early.
     """
-    return 0.8 if yields(model) else 0.9
+    return 0.8 if yields(model, run) else 0.9
 
 
-def seep_distance(model: Model) -> float:
+def seep_distance(model: Model, run: slice) -> float:
     """Return a signed distance from a wall [m]; nodes with a smaller distance respond individually.
 
     The distance is used for columns of nodes that the wall does not push. The distance is finite
@@ -340,13 +345,16 @@ def seep_distance(model: Model) -> float:
     distance is minus infinity, because individual nodes would stop the material before it touches
     the wall.
     """
-    apart = any(section.rounds for section in model.materials)
+    laws = {group.law.name for group in model.groups_in(run)}
+    apart = any(section.rounds for section in model.materials if section.device_law.name in laws)
     return REACH * model.dx if apart else -math.inf
 
 
-def yields(model: Model) -> bool:
-    """Return whether a material has a return mapping: plastic solid, sand, snow or liquid."""
-    return any(section.device_law.project is not None for section in model.materials)
+def yields(model: Model, run: slice) -> bool:
+    """Return whether a material of a body has a return mapping: plastic solid, sand, snow or
+    liquid.
+    """
+    return any(group.law.project is not None for group in model.groups_in(run))
 
 
 def vector(values: Iterable[float]) -> Vector:

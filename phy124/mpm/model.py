@@ -256,6 +256,25 @@ class Model:
         slowest = min(section.viscous_limit(self.dx) for section in sections)
         return beside_elastic(self.cfl) * slowest
 
+    def groups_in(self, run: slice) -> list[Group]:
+        """Return the groups of a body, whose particles are `run`."""
+        start, stop, _ = run.indices(len(self))
+        return [group for group in self.groups if start <= group.start < stop]
+
+    def densities_in(self, run: slice) -> tuple[float, float]:
+        """Return the smallest and the largest density of a body's particles [kg/m^3]."""
+        start = self.groups_in(run)[0].start
+        if start not in self._densities:
+            mass, volume = (np.asarray(a.numpy()[run], float) for a in (self.mass, self.volume))
+            density = mass / volume
+            self._densities[start] = float(density.min()), float(density.max())
+        return self._densities[start]
+
+    @cached_property
+    def _densities(self) -> dict[int, tuple[float, float]]:
+        """Densities that `densities_in` has computed."""
+        return {}
+
     @cached_property
     def total_mass(self) -> float:
         """Mass of all particles that may move [kg]."""
