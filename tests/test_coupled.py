@@ -105,6 +105,21 @@ def test_lattice_slides_on_particles(friction):
     assert gained == pytest.approx(expected, abs=1e-2)
 
 
+@pytest.mark.parametrize("gap", [0.0, 0.4])
+def test_lattice_hangs_from_sticky_particles_near_which_it_starts(gap):
+    """A clamp holds the upper half of the particles."""
+    solid, clamp = block((0.3,) * 3, low=(0.3, 0.3, 0)), Held(lower=(-1, -1, 0.5), upper=(2, 2, 2))
+    both = {"forces": [Gravity(g=(0, 0, -2.0))], "pairs": [Pair(0, 1, sticky=True)]}
+    solver = make((10, 10, 8), (0.2, 0.2, 0.3 + gap * DX), solid, **both, boundaries=[clamp])
+    solver.advance(0.4)
+    solver.pairs.begin()
+    solver.advance(0.8)
+    (force, _), *_ = solver.pairs.wrenches(0.4).values()
+    assert force[2] == pytest.approx(27 * 2.0, rel=0.03)
+    x, rest = solver.lattice.state.x.numpy(), solver.lattice.model.rest
+    assert np.abs(x - rest).max() < 0.1 * DX
+
+
 @pytest.mark.parametrize("push", [TotalForce(f=(0, 30, 0)), Impulse(p=(0, 30, 0), duration=0.1)])
 def test_total_accelerates_all_bodies_equally(push):
     solid = block((0.3,) * 3, low=(1.0, 0.3, 0.3))

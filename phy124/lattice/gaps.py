@@ -7,15 +7,11 @@ some distance. If a surface holds points, it also holds these points, at their i
 import numpy as np
 from numpy.typing import NDArray
 
+from phy124.kernels.lattice.grid import INSIDE, PARALLEL
+
 NEAR = 0.75
 """Largest initial distance of a point that touches a surface [cells]. The surfaces of two boxes of
 48 cells that stand side by side are up to 0.64 cells apart.
-"""
-PARALLEL = 0.9
-"""Smallest cosine between the normal of the surface and the reversed normal at such a point."""
-INSIDE = 1e-3
-"""Depth inside the surface at which such a point starts [cells]. Points outside a surface that were
-never pressed could leave it.
 """
 
 

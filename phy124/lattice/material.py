@@ -16,6 +16,7 @@ from phy124.kernels.lattice import grid as kernels
 from phy124.kernels.lattice.rows import rows_for
 from phy124.kernels.launches import put
 from phy124.lattice.clamps import PassedOn
+from phy124.lattice.gaps import NEAR
 from phy124.lattice.surface import Surface
 from phy124.lattice.walls import Nodes
 from phy124.mpm.grid import Grid
@@ -28,7 +29,7 @@ from phy124.mpm.stage import Named
 class Material(Kept):
     """Contact of one body's surface points with one particle body."""
 
-    kept = ("force", "sums", "due", "_near")
+    kept = ("force", "space", "sums", "due", "_near", "_starts")
 
     def __init__(
         self,
@@ -59,6 +60,11 @@ class Material(Kept):
         self._yields, self.force = zeros(model.real), zeros(t.vec3)
         self.sums = wp.zeros(SUMS, dtype=wp.float64, device=device)
         """Impulse of the particles on the body, and the impulse's moment about the origin."""
+        self.space = zeros(model.real)
+        """Distance from the material at which contact with each point begins [S], m."""
+        self._starts = pair.sticky
+        """Whether points that touch the material in the next substep begin to stick to it."""
+        self._normal = model.array(surface.normal, t.vec3)
         self._points = nodes.points
         self.due = True
         """Whether the next substep must list the surface points near the particles."""
@@ -78,9 +84,9 @@ class Material(Kept):
         kernel = kernels.make_grid_near(model.real, rows)
         inputs = [*self._points, nodes.u, *on_grid]
         self._look = model.launch(kernel, count, inputs, [self._flags])
-        inputs = [self._list, 0, self._fill, self._moves, *self._points]
+        inputs = [self._list, 0, self._fill, self._moves, 0.0, *self._points, self._normal]
         inputs += [nodes.movable, nodes.u, clock, *on_grid]
-        outputs = [nodes.v, self._gap, self._on, self._place, self._yields, self.force]
+        outputs = [self.space, nodes.v, self._gap, self._on, self._place, self._yields, self.force]
         touch = model.launch(kernels.make_grid_touch(model.real, rows), 1, inputs, outputs)
         inputs = [self._list, 0, recovery, self.pair.friction, self._moves, *self._points[:2]]
         inputs += [nodes.movable, self._gap, self._on, self._yields, clock, *on_grid[1:]]
@@ -101,9 +107,13 @@ class Material(Kept):
         def act() -> None:
             if number == 0 and self.due:
                 self._list_near()
+            if number == 2:
+                self._starts = False
             if len(self._near):
                 launch = self._launches[number]
                 launch.set_param_at_index(1, len(self._near))
+                if number == 0:
+                    launch.set_param_at_index(4, NEAR if self._starts else 0.0)
                 launch.launch()
                 if number == 2 and self._passed is not None:
                     self._passed.set_dim(len(self._near))

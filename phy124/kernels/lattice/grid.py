@@ -25,6 +25,12 @@ from phy124.kernels.window import strides
 
 SURFACE = wp.constant(0.5)
 """Volume fraction at the assumed surface of the material on a grid."""
+PARALLEL = wp.constant(0.9)
+"""Smallest cosine between the normal of the material and the reversed normal at a point that
+touches the material at the start.
+"""
+INSIDE = wp.constant(1e-3)
+"""Depth inside the material at which such a point starts [cells], so that it cannot leave."""
 THINNEST, STEEPEST = wp.constant(0.02), wp.constant(0.05)
 """Smallest volume fraction and slope [1/cell] of material that a surface point touches."""
 
@@ -58,6 +64,9 @@ def make_grid_touch(real: Any, rows: Rows):
     receives the point's position in units of nodes, and sum w_i m_i. `yields_out` receives the
     change of the relative velocity per unit impulse. Impulses do not change the velocity of fixed
     material (`moves` is 0).
+
+    Contact with a point begins at the distance `space_out` from the material. Points that face the
+    material, and are up to `most` [cells] away, keep their present distance.
     """
     t = types(real)
     moved_by, yielding, strike = rows.moved_by, rows.yielding, rows.strike
@@ -68,15 +77,18 @@ def make_grid_touch(real: Any, rows: Rows):
         count,
         fill: real,
         moves: int,
+        most: real,
         nodes,
         weights,
         rest,
+        normal,
         inverse,
         u,
         clock,
         lattice,
         window,
         grid,
+        space_out: t.reals,
         v_out,
         gap_out,
         on_out: t.vec4s,
@@ -120,7 +132,9 @@ def make_grid_touch(real: Any, rows: Rows):
             if part > real(THINNEST) and steep > real(STEEPEST) and yields_out[s] > zero:
                 n = -wp.normalize(grad)
                 far = (real(SURFACE) - part) / steep * lattice[3]
-                gap_out[s] = wp.vector(n[0], n[1], n[2], far)
+                if far > zero and far < most * lattice[3] and faces(normal[s], n):
+                    space_out[s] = far + real(INSIDE) * lattice[3]
+                gap_out[s] = wp.vector(n[0], n[1], n[2], far - space_out[s])
                 on_out[s] = wp.vector(f[0], f[1], f[2], mass)
                 impulse = clock[0] * force_out[s]
                 if wp.dot(impulse, impulse) > zero:
@@ -131,6 +145,12 @@ def make_grid_touch(real: Any, rows: Rows):
                 force_out[s] = t.vec3()
 
     return grid_touch
+
+
+@wp.func
+def faces(normal: Any, n: Any):
+    """Return whether a point with this normal, or a sheet, faces a surface with the normal n."""
+    return wp.length(normal) == type(n[0])(0.0) or wp.dot(normal, n) < -type(n[0])(PARALLEL)
 
 
 @wp.func
