@@ -76,6 +76,32 @@ def test_block_slides_on_a_block(friction):
     assert abs(down) < 0.02 * DX
 
 
+@pytest.mark.parametrize("held", [(), (1,)])
+def test_bodies_that_overlap_at_the_start_stay_at_rest(held):
+    solids = [block((0.4, 0.4, 0.4), low=(0, 0, z), per=10) for z in (0, 0.37)]
+    solver = make_bodies(solids, held=held)
+    solver.advance(0.1)
+    assert solver.meetings.of_pairs[0].most
+    assert np.abs(solver.state.v.numpy()).max() < 1e-12
+
+
+def test_block_keeps_its_depth_while_it_slides_on_a_board():
+    board = block((1.2, 0.8, 0.2), low=(-0.2, -0.2, -0.2), per=10)
+    solids = [board, block((0.4, 0.4, 0.3), low=(0, 0, -0.03), per=10)]
+    pull, pairs = Gravity(g=(0, 0, -2.0)), [Pair(0, 1, 0.0)]
+    solver = make_bodies(solids, v=[(0, 0, 0), (1, 0, 0)], held=[0], pairs=pairs, forces=[pull])
+    solver.advance(0.4)
+    way = (solver.state.x.numpy() - solver.model.rest)[solver.model.particles(1)].mean(axis=0)
+    assert way == pytest.approx([0.4, 0, 0], abs=0.02 * DX)
+
+
+def test_solid_box_leaves_a_block_at_rest_that_it_overlaps():
+    box = FreeBody("box", "box", (0.2,) * 3, (0.2, 0.2, 0.55))
+    solver = make_bodies([block((0.4, 0.4, 0.4))], free=[box])
+    solver.advance(0.1)
+    assert np.abs(solver.free.motions()).max() == 0 == np.abs(solver.state.v.numpy()).max()
+
+
 @pytest.mark.parametrize("gap", [0.0, 0.4, 0.7])
 def test_block_hangs_from_a_sticky_block_near_which_it_starts(gap):
     low = block((0.4, 0.4, 0.4), per=10)

@@ -20,7 +20,7 @@ def initial_gaps(
 ) -> NDArray[np.float64]:
     """Return the distances from a surface at which contact of points begins [K], m.
 
-    The distance is 0 for points that do not touch the surface at the start.
+    The distance is -inf for points that do not touch the surface from outside at the start.
 
     Args:
         gap: Distances of the points from the surface at the start [K], m.
@@ -30,4 +30,4 @@ def initial_gaps(
     """
     parallel = ~normal.any(axis=1) | ((n * normal).sum(axis=1) < -PARALLEL)
     touches = (gap > 0) & (gap < NEAR * dx) & parallel
-    return np.where(touches, gap + INSIDE * dx, 0.0)
+    return np.where(touches, gap + INSIDE * dx, -np.inf)

@@ -196,7 +196,12 @@ class Meeting:
 
     def part(self) -> None:
         """Remove all pairs of touching points, because the two bodies are far from each other."""
-        self._points, self._away, self._starts = self._points[:0], True, False
+        self.forget()
+        self._starts = False
+
+    def forget(self) -> None:
+        """Remove all pairs of touching points, and determine them again in the next call."""
+        self._points, self._away = self._points[:0], True
 
     def _look(self, x: NDArray[np.float64]) -> None:
         self._seen, self._away = x, False
@@ -220,11 +225,16 @@ class Meeting:
         """
         surface = self._surface
         partners = self._partners.find(points, between=self._between)
-        a, b, n = partners.pop("a"), partners.pop("b"), partners["normal"]
+        a, b, gap, n = *(partners.pop(name) for name in ("a", "b", "gap")), partners["normal"]
         way, slopes = surface.x[a] - surface.x[b], surface.slopes[b]
         if self._starts:
-            gap = (way * n).sum(axis=1)
             self._space[a] = initial_gaps(gap, n, surface.normal[a], surface.dx)
+        if self._between:
+            # Contact begins at the depth at which a point is first near the other body, because
+            # moving the point out would create energy. Its depth may only decrease.
+            inside = np.minimum(gap, 0)
+            known = np.isin(a, self._points) | (self._space[a] > 0)
+            self._space[a] = np.where(known, np.maximum(self._space[a], inside), inside)
         # The other surface is extended, so that impulses along it have no moment either.
         step = (partners["back"] @ (self._space[a][:, None] * n)[:, :, None])[:, :, 0]
         stretched = surface.weights[b] + (slopes @ step[:, :, None])[:, :, 0]

@@ -128,6 +128,12 @@ class Meetings(Kept):
         if self.of_pairs:
             self._slack = 0.0
 
+    def forget(self) -> None:
+        """Begin the contact between bodies again, after a body has been moved."""
+        self.way = math.inf
+        for meeting in self.of_pairs:
+            meeting.forget()
+
     def restore(self, snapshot: dict[str, Any]) -> None:
         """Restore the state from a snapshot."""
         super().restore(snapshot)

@@ -32,6 +32,8 @@ BUCKETS = 32
 EXPOSED = "nodes", "weights", "slopes", "rest", "normal"
 SEARCHED = "flat", "body", "side", "rest", "normal"
 """Names of the arrays that `make_expose` and `make_partner` read, in the kernels' order."""
+FOUND = "partner", "direction", "turned", "J", "x"
+"""Names of the arrays with results that `find` reads."""
 
 
 class Partners:
@@ -79,9 +81,9 @@ class Partners:
         """Return the surface points that touch a partner, and their partners.
 
         The result contains the indices `a` of the points and `b` of the partners [M], the direction
-        `normal` from partner to point [M,3], and `back` [M,3,3]. The matrices `back` convert
-        displacements of the partner along the surface to the body at rest. If `between` is true,
-        the points belong to two bodies.
+        `normal` from partner to point [M,3], the distance `gap` [M], m, and `back` [M,3,3]. The
+        matrices `back` convert displacements of the partner along the surface to the body at rest.
+        If `between` is true, the points belong to two bodies.
         """
         results, count = self._results, len(points)
         self._learn(points)
@@ -90,12 +92,13 @@ class Partners:
         reach = (NEAR if between else REACH) * self._model.dx
         self._grid.build(results["x"][:count], reach)
         (self._match_bodies if between else self._match_parts)(count)
-        values = (results[name].numpy()[:count] for name in ("partner", "direction", "turned", "J"))
-        numbers, normals, cofactors, ratios = values
+        values = (results[name].numpy()[:count] for name in FOUND)
+        numbers, normals, cofactors, ratios, x = values
         a = np.flatnonzero(numbers >= 0)
         b = numbers[a].astype(np.int64)
+        gap = ((x[a] - x[b]) * normals[a]).sum(axis=1).astype(np.float64)
         back = np.swapaxes(cofactors[b], 1, 2) / np.maximum(ratios[b], LEAST)[:, None, None]
-        return {"a": points[a], "b": points[b], "normal": normals[a], "back": back}
+        return {"a": points[a], "b": points[b], "gap": gap, "normal": normals[a], "back": back}
 
     def _learn(self, points: NDArray[np.int64]) -> None:
         new = points[~self._known[points]]

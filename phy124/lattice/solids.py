@@ -156,7 +156,7 @@ class Solids(FreeBodies):
 class _Touch(Kept):
     """The contact of the surface points of one body with one solid."""
 
-    kept = ("force", "side")
+    kept = ("force", "side", "space")
 
     def __init__(self, solids: Solids, index: int, body: int, tracks: Tracks) -> None:
         model, self._surface = solids._model, solids._surface
@@ -187,24 +187,20 @@ class _Touch(Kept):
         )
         self.side = wp.zeros_like(self.force)
         """Normals of the surface points near a box and on flat parts of the surface [S,3]."""
-        self._space = np.zeros(count)
-        """Distance from the solid at which contact with each point begins [S], m."""
+        space = np.full(count, -np.inf)
         if solid.sticky:
             local = (surface.x - solid.place) @ solid.axes
             far = distances_from(solid.shape, solid.geometry(), model, local)
             normal = far[:, :3] @ solid.axes.T
-            self._space = initial_gaps(far[:, 3], normal, surface.normal, model.dx)
+            space = initial_gaps(far[:, 3], normal, surface.normal, model.dx)
+        self.space = model.array(space, model.real)
+        """Distance from the solid at which contact with each point begins [S], m; -inf before the
+        point is first near the solid.
+        """
         deepest = DEEPEST * model.dx
-        inputs = [self._list, 0, 0.0, deepest, shape, solid.mass, moments, *points]
-        inputs += [
-            model.array(self._space, model.real),
-            self.side,
-            nodes.movable,
-            nodes.u,
-            tracks.clock,
-            state,
-        ]
-        outputs = [trial, nodes.v, gap, place, yields, self.force]
+        inputs = [self._list, 0, 0.0, deepest, shape, solid.mass, moments, *points, self.side]
+        inputs += [nodes.movable, nodes.u, tracks.clock, state]
+        outputs = [self.space, trial, nodes.v, gap, place, yields, self.force]
         kernel = kernels.make_solid_touch(solid.shape, model.real, nodes.rows)
         self._launches = [cast("wp.Launch", model.launch(kernel, 1, inputs, outputs))]
         inputs = [self._list, 0, solids.recovery, solid.friction, solid.mass, moments]
@@ -243,7 +239,8 @@ class _Touch(Kept):
         if self._look is None:
             return
         self._look.launch()
-        near = np.flatnonzero((self._gaps.numpy() - self._space < reach + more) & self._mine)
+        gaps = self._gaps.numpy() - np.maximum(self.space.numpy(), 0)
+        near = np.flatnonzero((gaps < reach + more) & self._mine)
         if not np.array_equal(near, self._near):
             gone = np.setdiff1d(self._near, near)
             if len(gone):

@@ -155,13 +155,13 @@ class LatticeSolver(Kept):
         self.free.bind(planes, tracks)
         tracks.upload(self.clock.values)
         self.free.prepare(tracks, walls.recovery)
-        kept = (self.meetings.snapshot(), self.walls.forces()) if self.clock.substeps else None
+        kept = (self.meetings.snapshot(), self.walls.contacts()) if self.clock.substeps else None
         self.meetings = Meetings(
             surface, model, nodes, tracks, self.pairs, walls.recovery, division
         )
         if kept is not None:
             self.meetings.restore(kept[0])
-            walls.put_forces(kept[1])
+            walls.put_contacts(kept[1])
         self.tracks, self.walls, self._forces, self._sums = tracks, walls, acting, sums
         self._sample = tracks.record()
         self._sample.launch()
@@ -315,7 +315,7 @@ class LatticeSolver(Kept):
         nodes.lagging.assign(v)
         nodes.residue.zero_()
         self.walls.forget()
-        self.meetings.way = math.inf
+        self.meetings.forget()
         self.crew.stray.zero_()
         self.limits.look()
         self.clock.expire()

@@ -38,6 +38,7 @@ from phy124.lattice.impulses import ContactWork, Impulses
 from phy124.lattice.rest import RestLattice
 from phy124.lattice.surface import Surface
 from phy124.lattice.workers import Division
+from phy124.mpm.kept import Kept
 from phy124.mpm.model import Model
 from phy124.mpm.stage import Named, launches
 from phy124.mpm.tracks import STILL, Tracks
@@ -242,35 +243,38 @@ class Walls:
         return max(0.0, float(depth[deepest])), int(inside[deepest]), touching
 
     def forget(self) -> None:
-        """Set the contact forces of all walls in the last substep to zero."""
+        """Begin the contact with all walls again, after bodies have been moved."""
         for contact in self._contacts:
             contact.force.zero_()
+            contact.space.fill_(-math.inf)
 
-    def forces(self) -> dict[str, wp.array]:
-        """Return the contact forces of all walls in the last substep, keyed by the wall's index."""
-        return {str(i): wp.clone(contact.force) for i, contact in enumerate(self._contacts)}
+    def contacts(self) -> dict[str, Any]:
+        """Return the state of the contact with each wall, keyed by the wall's index."""
+        return {str(i): contact.snapshot() for i, contact in enumerate(self._contacts)}
 
-    def put_forces(self, forces: dict[str, wp.array]) -> None:
-        """Set the walls' last contact forces, unless `forces` belong to other walls."""
-        if len(forces) == len(self._contacts):
+    def put_contacts(self, contacts: dict[str, Any]) -> None:
+        """Restore the contact with the walls, unless `contacts` belong to other walls."""
+        if len(contacts) == len(self._contacts):
             for i, contact in enumerate(self._contacts):
-                contact.force.assign(forces[str(i)])
+                contact.restore(contacts[str(i)])
 
     def snapshot(self) -> dict[str, Any]:
-        """Return a snapshot: the sums and the contact forces of the walls."""
-        kept = {"sums": wp.clone(self.sums), "forces": self.forces()}
+        """Return a snapshot: the sums and the contact of the walls."""
+        kept = {"sums": wp.clone(self.sums), "contacts": self.contacts()}
         return kept if self.impulses is None else {**kept, "impulses": wp.clone(self.impulses.sums)}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
         """Restore the state from a snapshot."""
         self.sums.assign(snapshot["sums"])
-        self.put_forces(snapshot["forces"])
+        self.put_contacts(snapshot["contacts"])
         if self.impulses is not None:
             self.impulses.sums.assign(snapshot["impulses"])
 
 
-class _Contact:
+class _Contact(Kept):
     """The contact of the surface points with one simple wall."""
+
+    kept = ("force", "space")
 
     def __init__(
         self,
@@ -293,12 +297,15 @@ class _Contact:
         self._affected = acts_on(part, model, surface.body)
         self.separates = part.response() == "separate"
         """Whether points may leave the wall."""
-        self._space = np.zeros(surface.count)
-        """Distance from the wall at which contact with each point begins [S], m."""
+        space = np.full(surface.count, -np.inf)
         if not self.separates:
             start = (part.track(model) or STILL).values(np.zeros(1))[0]
             far = distances(part, model, surface.x - start)
-            self._space = initial_gaps(far[:, 3], far[:, :3], surface.normal, model.dx)
+            space = initial_gaps(far[:, 3], far[:, :3], surface.normal, model.dx)
+        self.space = model.array(space, model.real)
+        """Distance from the wall at which contact with each point begins [S], m; -inf before the
+        point is first near the wall.
+        """
         self.reach = REACH * model.dx
         """Largest distance from the wall at which contact is computed [m]."""
         self.clamped = False
@@ -335,7 +342,8 @@ class _Contact:
 
     def list_near(self, approach: float) -> None:
         """List the surface points that were within `reach` plus `approach` [m] of the wall."""
-        close = self._gaps.numpy() - self._space < self.reach + approach
+        gaps = self._gaps.numpy() - np.maximum(self.space.numpy(), 0)
+        close = gaps < self.reach + approach
         near = np.flatnonzero(close & self._affected)
         if not np.array_equal(near, self._near):
             self._near = near.astype(np.int32)
@@ -344,7 +352,8 @@ class _Contact:
 
     def closest(self) -> float:
         """Return the smallest distance of a listed point [m]; infinite if no point is listed."""
-        return float(self._gap.numpy()[self._near, 3].min(initial=np.inf))
+        gap, space = self._gap.numpy()[self._near, 3], self.space.numpy()[self._near]
+        return float(np.where(np.isfinite(space), gap + space, np.inf).min(initial=np.inf))
 
     def limit(self, reach: float) -> None:
         """Set the distance from the wall within which contact is computed [m]."""
@@ -402,9 +411,8 @@ class _Contact:
     def _touch(self) -> wp.Launch:
         model, nodes, tracks = self._model, self._nodes, self._tracks
         inputs = [self._list, 0, self.reach, self._shape, self._slot, *nodes.points]
-        inputs += [model.array(self._space, model.real), nodes.movable, self._yields, nodes.u]
-        inputs += [tracks.clock, tracks.values]
-        outputs = [nodes.v, self._gap, self._place, self.force]
+        inputs += [nodes.movable, self._yields, nodes.u, tracks.clock, tracks.values]
+        outputs = [self.space, nodes.v, self._gap, self._place, self.force]
         kernel = make_touch(self._part.outline(), model.real, nodes.rows)
         return cast("wp.Launch", model.launch(kernel, 1, inputs, outputs))
 

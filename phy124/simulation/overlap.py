@@ -45,8 +45,6 @@ class Buried(NamedTuple):
     """Fraction of the material behind the boundary's surfaces."""
     depth: float
     """Depth of the deepest particle [m]."""
-    on_lattice: bool
-    """Whether the material is on a lattice. The boundary then pushes it out."""
 
     @property
     def what(self) -> str:
@@ -91,10 +89,7 @@ def refuse_buried(scene: Scene, model: Model) -> None:
     led = [number for number, item in enumerate(scene.objects) if item.path is not None]
     for wall in find_buried(scene, model):
         if wall.fraction > MOST:
-            effect = "stops the material, but does not push it out"
-            if wall.on_lattice:
-                effect = "pushes the material out, which supplies energy"
-            limit = f"{wall.what}; a wall {effect}."
+            limit = f"{wall.what}; a wall stops the material, but does not push it out."
             remedy = "Move the wall, or move the object (place, lift)."
             after = wall.number - (len(scene.boundaries) - len(led))
             field = f"boundaries.{wall.number}" if after < 0 else f"objects.{led[after]}"
@@ -107,10 +102,6 @@ def notes(scene: Scene, model: Model) -> list[str]:
     """
     from phy124.lattice.clamps import THINNEST, thickness_of
 
-    after = {
-        True: "is pushed out, which supplies energy. Move the wall or the object (place, lift).",
-        False: "stays there.",
-    }
     effect, least = "it may contain no grid node, and then holds nothing", 1.0
     if scene.on_lattice:
         effect, least = (
@@ -121,8 +112,7 @@ def notes(scene: Scene, model: Model) -> list[str]:
         (wall.kind, thickness_of(wall, model) / model.dx) for wall in scene.boundaries if wall.holds
     ]
     return [
-        f"The {wall.kind}: {wall.what}, and {after[wall.on_lattice]}"
-        for wall in find_buried(scene, model)
+        f"The {wall.kind}: {wall.what}, and stays there." for wall in find_buried(scene, model)
     ] + [
         f"The {kind} is {thickness:.2g} cells thick: {effect}. Use more cells, or enlarge it."
         for kind, thickness in clamps
@@ -158,7 +148,6 @@ def find_buried(scene: Scene, model: Model) -> Iterator[Buried]:
                     "the material" if len(model.names) < 2 else f"{name}",
                     float((depth > 0).mean()),
                     float(depth.max()),
-                    scene.on_lattices[0 if name is None else scene.names.index(name)],
                 )
 
 

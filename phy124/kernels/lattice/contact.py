@@ -52,7 +52,9 @@ def make_touch(shape: str, real: Any, rows: Rows):
 
     `inverse` is the inverse mass, or zero for nodes in a clamp. `force_out` contains the mean force
     on each point in the last substep [N], and is set to zero for a point that has left the wall.
-    Contact with a point begins at the distance `space` from the wall.
+    Contact with a point begins at the distance `space_out` from the wall, which is -inf until the
+    point is first near the wall. If the point is then inside the wall, or is inside it without
+    contact, contact begins at its depth, because moving the point out would create energy.
     `gap_out` is the normal and the distance of each point near the wall; the distance of other
     points is infinite.
     """
@@ -70,12 +72,12 @@ def make_touch(shape: str, real: Any, rows: Rows):
         nodes,
         weights,
         rest,
-        space: t.reals,
         inverse,
         yields,
         u,
         clock,
         values,
+        space_out: t.reals,
         v_out,
         gap_out,
         place_out,
@@ -87,7 +89,9 @@ def make_touch(shape: str, real: Any, rows: Rows):
             s = near[a]
             y = rest[s] + moved_by(u, nodes, weights, s)
             d = distance(y - moved, geometry)
-            gap = d[3] - space[s]
+            if wp.isinf(space_out[s]):
+                space_out[s] = wp.min(d[3], real(0.0))
+            gap = d[3] - space_out[s]
             place_out[s] = y
             if active > real(0.0) and gap < reach and yields[s] > real(0.0):
                 gap_out[s] = wp.vector(d[0], d[1], d[2], gap)
@@ -97,6 +101,8 @@ def make_touch(shape: str, real: Any, rows: Rows):
             else:
                 gap_out[s] = wp.vector(d[0], d[1], d[2], real(wp.inf))
                 force_out[s] = t.vec3()
+                if gap >= reach or d[3] < real(0.0):
+                    space_out[s] = wp.min(d[3], real(0.0))
 
     return touch
 

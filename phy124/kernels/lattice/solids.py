@@ -153,7 +153,7 @@ def make_solid_touch(shape: str, real: Any, rows: Rows):
     For each listed point, `gap_out` receives the normal of the solid and the distance from the
     solid (infinite if out of reach). If a flat body touches an edge of a box, the normal of the
     body (`side`) is used. The normal of the box, which rotates at the edge, would stop a sliding
-    box. Contact with a point begins at the distance `space` from the solid.
+    box. `space_out` is computed as in `make_touch`.
     """
     t = types(real)
     moved_by, yielding, strike = rows.moved_by, rows.yielding, rows.strike
@@ -171,12 +171,12 @@ def make_solid_touch(shape: str, real: Any, rows: Rows):
         nodes,
         weights,
         rest,
-        space: t.reals,
         side: t.vec3s,
         inverse,
         u,
         clock,
         body,
+        space_out: t.reals,
         trial_out,
         v_out,
         gap_out,
@@ -205,11 +205,13 @@ def make_solid_touch(shape: str, real: Any, rows: Rows):
                     if way < deepest:
                         n = facing
                         far = -way
-            far -= space[s]
+            if wp.isinf(space_out[s]):
+                space_out[s] = wp.min(far, real(0.0))
+            gap = far - space_out[s]
             place_out[s] = y
             yields_out[s] = yielding(inverse, nodes, weights, s)
-            if far < reach and yields_out[s] > real(0.0):
-                gap_out[s] = wp.vector(n[0], n[1], n[2], far)
+            if gap < reach and yields_out[s] > real(0.0):
+                gap_out[s] = wp.vector(n[0], n[1], n[2], gap)
                 impulse = clock[0] * force_out[s]
                 if wp.dot(impulse, impulse) > real(0.0):
                     strike(v_out, inverse, nodes, weights, s, impulse)
@@ -217,6 +219,8 @@ def make_solid_touch(shape: str, real: Any, rows: Rows):
             else:
                 gap_out[s] = wp.vector(n[0], n[1], n[2], real(wp.inf))
                 force_out[s] = t.vec3()
+                if gap >= reach or far < real(0.0):
+                    space_out[s] = wp.min(far, real(0.0))
 
     return solid_touch
 
