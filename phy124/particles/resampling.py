@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from phy124.particles.cubes import Cubes, Surface
 from phy124.particles.cuts import moments_below
-from phy124.particles.surface import Cubes, Surface
 
 ROUNDING = 1e-9
 """Borders of voxels that differ by less count as equal [voxels]."""
@@ -94,8 +94,8 @@ def move_material(
     """
     shape = inner.shape
     moments = [_divide_even(low + side * full, side, np.ones(len(full)), shape)]
-    for cubes, size in ((surface.slabs, side), (surface.edges, side / surface.parts)):
-        moments += _move_cubes(cubes, low, side, size, shape)
+    for cubes, parts in surface.cubes:
+        moments += _move_cubes(cubes, low, side, side / parts, shape)
     outer = [each.select(~inner.ravel()[each.voxel]) for each in moments]
     every = _Moments(*map(np.concatenate, zip(*outer, _full_voxels(inner), strict=True)))
     voxel, which = np.unique(every.voxel, return_inverse=True)

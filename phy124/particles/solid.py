@@ -29,15 +29,16 @@ import threading
 from dataclasses import dataclass
 from functools import cached_property
 
-import cv2
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 
 from phy124.gaussians import Gaussians, rotation_matrices
 from phy124.particles.cleaning import VISIBLE
+from phy124.particles.cubes import Samples, Surface
+from phy124.particles.dilation import dilate
 from phy124.particles.resampling import Material, average, move_material
-from phy124.particles.surface import Samples, Surface, find_surface, shortest_axes
+from phy124.particles.surface import find_surface, shortest_axes
 from phy124.particles.vessels import is_vessel
 from phy124.particles.voxels import Voxels, find_voxels
 
@@ -113,10 +114,10 @@ class Solid:
         radius = max(1, round(0.5 * (width / self.voxel - 1)))
         if 2 * radius >= min(self.fraction.shape):
             return np.ones(len(points), bool)
-        core = ~_dilate(self.fraction <= 0.5, radius)
+        core = ~dilate(self.fraction <= 0.5, radius)
         # The dilation is larger than the erosion, because cubes do not reach into rounded thick
         # parts.
-        thick = _dilate(core, radius + max(1, radius // 2))
+        thick = dilate(core, radius + max(1, radius // 2))
         at = np.floor(np.asarray(points) / self.voxel).astype(np.int64) - self.first
         return ~thick[tuple(np.clip(at, 0, np.array(thick.shape) - 1).T)]
 
@@ -141,10 +142,10 @@ class Solid:
     def _move_to(self, step: float) -> Material:
         assert self.surface is not None
         full = self.fraction > 0
-        for cubes in (self.surface.slabs, self.surface.edges):
+        for cubes, _ in self.surface.cubes:
             full.ravel()[cubes.voxel] = False
         first, inner = average(full, self.first, self.voxel, step)
-        at_border = full & _dilate(~full, math.ceil(step / self.voxel) + 1)
+        at_border = full & dilate(~full, math.ceil(step / self.voxel) + 1)
         side = self.voxel / step
         low = self.first * side - first
         return move_material(np.argwhere(at_border), self.surface, low, side, inner > WHOLE)
@@ -187,7 +188,7 @@ def _find_interior(gaussians: Gaussians) -> Solid:
     some = gaussians.select(opaque) if opaque.any() else gaussians
     grid = _voxelise(some)
     region, outside = _find_inside(grid)
-    surface = find_surface(region, region & _dilate(outside, 1), grid.samples)
+    surface = find_surface(region, region & dilate(outside, 1), grid.samples)
     fraction = surface.fill(region)
     fraction.flags.writeable = False  # All runs use this array.
     return Solid(grid.first, grid.voxel, fraction, surface)
@@ -253,7 +254,7 @@ def _rasterise(gaussians: Gaussians, voxel: float, extent: NDArray) -> _Voxels:
     occupied = np.zeros(shape, bool)
     occupied[tuple(points.astype(np.int32).T)] = True
     thickness = 2 * gaussians.scales.min(axis=1).astype(np.float64) / voxel
-    samples = Samples(points, owner, shortest_axes(gaussians), thickness)
+    samples = Samples(points, owner, shortest_axes(gaussians), thickness, gaussians.opacities)
     return _Voxels(first, voxel, across, samples, gaussians.means, occupied)
 
 
@@ -295,12 +296,12 @@ def _find_inside(grid: _Voxels) -> tuple[Mask, Mask]:
     for r in sorted({1, 2, 3, widest // 2, widest}):
         if r > widest:
             break
-        thick = _dilate(occupied, r)
+        thick = dilate(occupied, r)
         outside = _flood_outside(~thick)
-        sealed = ~_dilate(outside, r)
+        sealed = ~dilate(outside, r)
         cavity = ~(outside | thick)
         is_open &= bool(cavity.sum() <= least)
-        region |= sealed if r == 1 else _dilate(cavity & ~region, r) & sealed
+        region |= sealed if r == 1 else dilate(cavity & ~region, r) & sealed
     if is_open:
         cavity = _deep_parts(_find_enclosed(occupied) & ~region)
         if cavity.sum() > least:
@@ -329,7 +330,7 @@ def _deep_parts(mask: Mask) -> Mask:
     """
     labels, count = scipy.ndimage.label(mask)  # pyright: ignore
     deep = np.zeros(count + 1, bool)
-    deep[labels[~_dilate(~mask, 1)]] = True
+    deep[labels[~dilate(~mask, 1)]] = True
     deep[0] = False
     parts: Mask = deep[labels]
     return parts
@@ -345,15 +346,7 @@ def _without_vessels(cavity: Mask, grid: _Voxels) -> Mask:
     labels, count = scipy.ndimage.label(cavity)  # pyright: ignore
     is_shell = np.zeros(count + 1, bool)
     for part in range(1, count + 1):
-        near = np.unique(samples.owner[_dilate(labels == part, 2)[cells]])
+        near = np.unique(samples.owner[dilate(labels == part, 2)[cells]])
         is_shell[part] = len(near) > 0 and not is_vessel(grid.means, samples.normals, near)
     parts: Mask = is_shell[labels]
     return parts
-
-
-def _dilate(mask: Mask, radius: int) -> Mask:
-    # OpenCV treats the last axis as image channels and is many times faster than SciPy.
-    side, shape = 2 * radius + 1, mask.shape
-    grown = cv2.dilate(np.ascontiguousarray(mask).view(np.uint8), np.ones((side, side), np.uint8))
-    grown = cv2.dilate(grown.reshape(-1, shape[2]), np.ones((1, side), np.uint8))
-    return grown.reshape(shape).view(bool)

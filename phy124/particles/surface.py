@@ -6,7 +6,7 @@ around the sample.
 
 The material of a voxel lies below a face. In a thin part, the material ends at the opposite face.
 At a convex edge, the material is below both faces; at a concave edge, below at least one face. The
-unit of length is a voxel.
+unit of length is a voxel. Stems have no faces (phy124/particles/stems.py).
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ import scipy
 from numpy.typing import NDArray
 
 from phy124.gaussians import Gaussians, rotation_matrices
-from phy124.particles.cuts import between
+from phy124.particles.cubes import Cubes, Samples, Surface, cut_cubes, parts_of
+from phy124.particles.stems import STEM_PARTS, find_stems
 
 Array = NDArray[Any]
 Mask = NDArray[np.bool_]
@@ -59,61 +60,6 @@ UP = (0.0, 0.0, 1.0)
 """Normal of a sample that lies at the centre of the material around it, as a single sample does."""
 AROUND = [step for step in np.ndindex(3, 3, 3) if step != (1, 1, 1)]
 """Steps to the 26 neighbours, from the lower corner of the block of 27 voxels."""
-
-
-class Samples(NamedTuple):
-    """Sample points in the Gaussians."""
-
-    points: Array
-    """Positions from the lower corner of the grid [S,3]."""
-    owner: Array
-    """Index of the Gaussian of each sample [S]."""
-    normals: Array
-    """Shortest axes of the Gaussians [N,3]; zero for Gaussians that are not flat."""
-    thickness: Array
-    """Twice the shortest standard deviations [N]."""
-
-
-class Cubes(NamedTuple):
-    """Cubes of equal side, with material between two parallel planes."""
-
-    voxel: Array
-    """Index of each cube's voxel in the flattened grid [B]."""
-    corner: Array
-    """Lower corners [B,3]."""
-    weight: Array
-    """Filled fraction between the planes [B]."""
-    normal: Array
-    """Unit normals of the planes [B,3]."""
-    upper: Array
-    """Height of the upper plane above the middle of each cube [B]."""
-    lower: Array
-    """Height of the lower plane above the middle of each cube [B]."""
-
-    def select(self, mask: Mask) -> Cubes:
-        """Return the cubes in a mask."""
-        return Cubes(*(values[mask] for values in self))
-
-
-class Surface(NamedTuple):
-    """The material in the voxels at the surface of an object; other voxels are full or empty."""
-
-    slabs: Cubes
-    """Voxels near which all faces are parallel."""
-    edges: Cubes
-    """Parts of all other voxels at the surface."""
-    parts: int
-    """Number of parts of such a voxel along each axis."""
-
-    def fill(self, region: Mask) -> NDArray[np.float32]:
-        """Return the filled fractions of all voxels [X,Y,Z], from a region and this surface."""
-        fraction = region.ravel().astype(np.float64)
-        for cubes, side in ((self.slabs, 1), (self.edges, 1 / self.parts)):
-            fraction[cubes.voxel] = 0
-            middle, thick = (cubes.upper + cubes.lower) / 2, cubes.upper - cubes.lower
-            volume = cubes.weight * between(cubes.normal, middle, thick, side)
-            fraction += np.bincount(cubes.voxel, volume, region.size)
-        return np.clip(fraction, 0, 1).reshape(region.shape).astype(np.float32)
 
 
 class _Faces(NamedTuple):
@@ -163,13 +109,16 @@ def shortest_axes(gaussians: Gaussians) -> Array:
 
 def find_surface(region: Mask, border: Mask, samples: Samples) -> Surface:
     """Find the material in the border voxels [X,Y,Z] of a region, from samples of the Gaussians."""
+    stems, is_stem = find_stems(region, border, samples)
+    border = border & ~is_stem
     faces = _find_faces(region, border, samples)
     near = _find_faces_around(faces, border)
     main = faces.normal[near.main]
     turned = np.abs(np.einsum("vsi,vi->vs", faces.normal[near.faces], main))
     is_slab = ((turned > PARALLEL) | (near.faces < 0)).all(axis=1)
+    slabs = _make_slabs(faces, near.select(is_slab))
     edges = _cut_edges(faces, near.select(~is_slab))
-    return Surface(_make_slabs(faces, near.select(is_slab)), edges, PARTS)
+    return Surface(((slabs, 1), (edges, PARTS), (stems, STEM_PARTS)))
 
 
 def _find_faces(region: Mask, border: Mask, samples: Samples) -> _Faces:
@@ -324,7 +273,7 @@ def _find_planes(faces: _Faces, near: _Near) -> tuple[Array, Array]:
 def _make_slabs(faces: _Faces, near: _Near) -> Cubes:
     normal = faces.normal[near.main]
     planes = [height[:, None] for height in _find_planes(faces, near)]
-    return _cubes(near.voxel, near.corner[:, None], np.ones((len(normal), 1)), normal, *planes)
+    return cut_cubes(near.voxel, near.corner[:, None], np.ones((len(normal), 1)), normal, *planes)
 
 
 def _cut_edges(faces: _Faces, near: _Near) -> Cubes:
@@ -333,9 +282,7 @@ def _cut_edges(faces: _Faces, near: _Near) -> Cubes:
     At convex edges, the material lies between the planes of the main face. At concave edges, the
     parts are filled evenly.
     """
-    line = np.arange(PARTS) / PARTS
-    inner = np.stack(np.meshgrid(line, line, line, indexing="ij"), axis=-1).reshape(-1, 3)
-    corner = near.corner[:, None] + inner
+    corner = parts_of(near.corner, PARTS)
     points = corner + 0.5 / PARTS
     upper, lower = (height[:, None] for height in _find_planes(faces, near))
     main = faces.normal[near.main]
@@ -355,27 +302,13 @@ def _cut_edges(faces: _Faces, near: _Near) -> Cubes:
     share = _share_below(points, main, upper) - _share_below(points, main, lower)
     weight = np.where(is_concave, np.maximum(np.minimum(weight, share), added), weight)
     upper, lower = np.where(is_concave, np.inf, upper), np.where(is_concave, -np.inf, lower)
-    return _cubes(near.voxel, corner, weight, main, upper, lower)
+    return cut_cubes(near.voxel, corner, weight, main, upper, lower)
 
 
 def _share_below(points: Array, normal: Array, top: Array) -> Array:
     """Return the fractions [V,P] of the parts around points [V,P,3] below planes."""
     extent = np.abs(normal).sum(axis=1)[:, None] / PARTS
     return np.clip(0.5 + (top - np.einsum("vpi,vi->vp", points, normal)) / extent, 0, 1)
-
-
-def _cubes(
-    voxel: Array, corner: NDArray, weight: Array, normal: Array, upper: Array, lower: Array
-) -> Cubes:
-    """Return the P cubes of each of V voxels; planes have the heights `upper` and `lower` [V,1]."""
-    parts = corner.shape[1]
-    half = 0.5 / round(parts ** (1 / 3))
-    level = np.einsum("vpi,vi->vp", corner + half, normal)
-    # Planes at a distance of 1 are outside a cube.
-    planes = [np.clip(height - level, -1, 1).ravel() for height in (upper, lower)]
-    normals = np.repeat(normal, parts, axis=0)
-    place = corner.reshape(-1, 3).astype(np.float64)
-    return Cubes(np.repeat(voxel, parts), place, weight.ravel(), normals, *planes)
 
 
 def _sums(which: Array, values: Array) -> Array:

@@ -15,9 +15,9 @@ from phy124.gaussians import Gaussians, quaternions, spread_directions
 from phy124.lattice.solver import LatticeSolver
 from phy124.materials import Material
 from phy124.mpm import Model, Solver, State
+from phy124.particles.cubes import Cubes, Surface
 from phy124.particles.lattice import lattice_of
 from phy124.particles.solid import Solid
-from phy124.particles.surface import Cubes, Surface
 
 if TYPE_CHECKING:
     import warp as wp
@@ -153,8 +153,7 @@ def fill_solid(
     lowest = np.full(len(height), -1.0)
     voxels, weight = np.repeat(border, PARTS**3), np.ones(len(height))
     parts = Cubes(voxels, corner, weight, normal, np.clip(height, -1, 1), lowest)
-    none = parts.select(np.zeros(len(height), bool))
-    surface = Surface(none, parts.select(height > -1 / PARTS), PARTS)
+    surface = Surface(((parts.select(height > -1 / PARTS), PARTS),))
     return Solid(first, voxel, surface.fill(away < 0), surface)
 
 
