@@ -75,7 +75,9 @@ class _Faces(NamedTuple):
     top: Array
     """Scalar product of position and normal [K]."""
     thick: Array
-    """Thickness of the material below each face [K]; infinite without an opposite face."""
+    """Thickness of the material below each face [K]; infinite in thick parts."""
+    is_opposed: Mask
+    """Whether each face of a thin part has an opposite face [K]."""
 
 
 class _Near(NamedTuple):
@@ -147,7 +149,8 @@ def _find_faces(region: Mask, border: Mask, samples: Samples) -> _Faces:
     noise = NOISE**2 * np.bincount(which, is_flat)
     reach = np.sqrt(3 * np.maximum(np.bincount(which, height**2) - noise, 0) / count)
     top = (middle * mean).sum(axis=1) + reach
-    faces = _Faces(key // 6, key % 6, count, middle, mean, top, np.full(len(key), np.inf))
+    thick, none = np.full(len(key), np.inf), np.zeros(len(key), bool)
+    faces = _Faces(key // 6, key % 6, count, middle, mean, top, thick, none)
     least = np.maximum(np.bincount(which, thickness) / count, 2 * reach)
     return _find_opposite_faces(region, faces, np.maximum(least, THINNEST))
 
@@ -194,7 +197,7 @@ def _find_opposite_faces(region: Mask, faces: _Faces, least: Array) -> _Faces:
     """Return the faces with thicknesses; a sheet without opposite faces has the thickness `least`
     [K].
     """
-    thick = np.full(len(least), np.inf)
+    thick, is_opposed = faces.thick.copy(), faces.is_opposed.copy()
     depths = np.arange(1, THICKEST + 2)
     inside = np.stack([_look_up(region, faces.middle - n * faces.normal) for n in depths])
     thin = np.flatnonzero(~inside.all(axis=0))
@@ -215,12 +218,13 @@ def _find_opposite_faces(region: Mask, faces: _Faces, least: Array) -> _Faces:
     depth = np.where(fits & (depth > 0) & (depth < THICKEST), depth, np.inf)
     nearest = depth < depth.min(axis=1, keepdims=True) + TOGETHER
     mean = _weighted_mean(np.where(nearest, depth, 0), faces.samples[near] * nearest)
-    is_sheet = nearest.any(axis=1) | ~inside[0, thin]
+    is_opposed[thin] = nearest.any(axis=1)
+    is_sheet = is_opposed[thin] | ~inside[0, thin]
     excess = np.where(is_sheet, np.maximum(least[thin] - mean, 0), 0)
     thick[thin] = np.where(is_sheet, mean + excess, np.inf)
     top = faces.top.copy()
     top[thin] += excess / 2
-    return faces._replace(top=top, thick=thick)
+    return faces._replace(top=top, thick=thick, is_opposed=is_opposed)
 
 
 def _look_up(region: Mask, points: Array) -> Mask:
@@ -248,7 +252,8 @@ def _find_faces_around(faces: _Faces, border: Mask) -> _Near:
         distance = np.where(other >= 0, np.linalg.norm(arm, axis=2), np.inf)
         nearer = distance < away
         number[nearer], away[nearer] = other[nearer], distance[nearer]
-    thick = np.minimum(faces.thick[number], 1e3) * np.where(is_own, PREFERRED, 1)
+    thick = faces.thick + np.where(faces.is_opposed, 0, THICKEST)
+    thick = np.minimum(thick[number], 1e3) * np.where(is_own, PREFERRED, 1)
     worth = np.where(is_own, faces.samples[number], -away) - 1e6 * thick
     best = np.where(number < 0, -np.inf, worth).argmax(axis=1)
     main = number[np.arange(len(number)), best]
