@@ -26,7 +26,7 @@ REACHES = (1.75, 2.5)
 """
 STEPS = 3
 """Number of balls in which each centre is computed."""
-LONG = 0.6
+LONG = 0.5
 """Largest second moment across a stem, relative to the second moment along the stem."""
 ROUND = 0.3
 """Smallest second moment across a stem, relative to the largest second moment across it."""
@@ -105,6 +105,7 @@ def _find_axes(moments: Array, voxel: Array, reach: float) -> _Axes:
     """Return the axes of the stems in balls of radius `reach` that start in some voxels."""
     middle = moments[:, 1:4] / moments[:, :1]
     tree, centre = scipy.spatial.KDTree(middle), middle[voxel]
+    values, axes = np.zeros((len(voxel), 3)), np.zeros((len(voxel), 3, 3))
     for step in range(STEPS):
         near = scipy.spatial.KDTree(centre).sparse_distance_matrix(
             tree, reach, output_type="ndarray"

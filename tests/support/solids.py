@@ -68,3 +68,36 @@ def box_of_discs(
     sh = np.zeros((count, 1, 3))
     opacities = np.full(count, 0.9)
     return Gaussians(np.concatenate(means), np.concatenate(quats), scales, opacities, sh)
+
+
+STEM = np.array([0.3, 0.4, 0.0])
+"""Start of the axis of `stem_of_discs` [sixty-fourths of a metre]."""
+
+
+def stem_of_discs(
+    radius: float, along: tuple[float, float, float], *, noise: float = 0.12, tilt: float = 0.25
+) -> Gaussians:
+    """Return long discs on a round stem, with random places and opacities.
+
+    Args:
+        radius: Radius of the stem [sixty-fourths of a metre]; its length is 62 of these.
+        along: Direction of the stem.
+        noise: Standard deviation of the discs' distances from the axis [sixty-fourths of a metre].
+        tilt: Standard deviation of each component of the discs' normals.
+    """
+    rng, count = np.random.default_rng(0), 4000
+    axis = np.array(along) / np.linalg.norm(along)
+    side = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
+    side /= np.linalg.norm(side)
+    angle, place = rng.uniform(0, 2 * np.pi, (count, 1)), rng.uniform(0, 62, (count, 1))
+    out = np.cos(angle) * side + np.sin(angle) * np.cross(axis, side)
+    away = np.maximum(radius + noise * rng.normal(size=(count, 1)), 0)
+    normal = out + tilt * rng.normal(size=(count, 3))
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    across = np.cross(normal, axis)
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    quats = quaternions(np.stack([np.cross(across, normal), across, normal], axis=2))
+    scales = rng.uniform(0.6, 1.4, (count, 1)) * [0.5, 0.14, 0.03]
+    means = STEM + place * axis + away * out
+    opacities, sh = rng.uniform(0.1, 0.9, count), np.zeros((count, 1, 3))
+    return Gaussians(means / 64, quats, scales / 64, opacities, sh)
