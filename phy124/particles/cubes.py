@@ -71,17 +71,3 @@ def parts_of(corner: Array, parts: int) -> Array:
     line = np.arange(parts) / parts
     inner = np.stack(np.meshgrid(line, line, line, indexing="ij"), axis=-1).reshape(-1, 3)
     return np.asarray(corner[:, None] + inner)
-
-
-def cut_cubes(
-    voxel: Array, corner: NDArray, weight: Array, normal: Array, upper: Array, lower: Array
-) -> Cubes:
-    """Return the P cubes of each of V voxels; planes have the heights `upper` and `lower` [V,1]."""
-    parts = corner.shape[1]
-    half = 0.5 / round(parts ** (1 / 3))
-    level = np.einsum("vpi,vi->vp", corner + half, normal)
-    # Planes at a distance of 1 are outside a cube.
-    planes = [np.clip(height - level, -1, 1).ravel() for height in (upper, lower)]
-    normals = np.repeat(normal, parts, axis=0)
-    place = corner.reshape(-1, 3).astype(np.float64)
-    return Cubes(np.repeat(voxel, parts), place, weight.ravel(), normals, *planes)

@@ -40,7 +40,7 @@ THICK = 2
 STEM_PARTS = 3
 """Parts along each axis into which a voxel of a stem is divided."""
 NEAR = 2
-"""Greatest distance of a stem's voxels without samples from those with samples [voxels]."""
+"""Largest distance of a stem's voxels without samples from those with samples [voxels]."""
 UP = (0.0, 0.0, 1.0)
 """Normal of a plane at an axis."""
 PAIRS = [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)]
@@ -87,7 +87,7 @@ def find_stems(region: Mask, border: Mask, samples: Samples) -> tuple[Cubes, Mas
         axes = axes.select(np.concatenate([np.arange(len(place)), nearest[of_stem]]))
         place = np.concatenate([place, gaps[of_stem]])
         is_stem[tuple(place.T)] = True
-    return _cut(axes, place, region.shape), is_stem
+    return _fill_voxels(axes, place, region.shape), is_stem
 
 
 def _sum_moments(voxel: Array, samples: Samples, used: Mask) -> tuple[Array, Array]:
@@ -129,7 +129,7 @@ def _find_axes(moments: Array, voxel: Array, reach: float) -> _Axes:
     return _Axes(voxel, centre, outline)
 
 
-def _cut(axes: _Axes, place: Array, shape: tuple[int, ...]) -> Cubes:
+def _fill_voxels(axes: _Axes, place: Array, shape: tuple[int, ...]) -> Cubes:
     """Return the material in the voxels with indices `place` [K,3]. Each part of a voxel is cut by
     a plane.
     """
@@ -143,5 +143,5 @@ def _cut(axes: _Axes, place: Array, shape: tuple[int, ...]) -> Cubes:
     # The distance from the outline is, to first order, (level - 1) / |gradient of level|.
     upper = np.clip((1 - level) * level / np.maximum(steep, 1e-9), -1, 1)
     voxel = np.repeat(np.ravel_multi_index(tuple(place.T), shape), STEM_PARTS**3)
-    one = np.ones(len(voxel))
-    return Cubes(voxel, corner.reshape(-1, 3), one, normal, upper, -one)
+    ones = np.ones(len(voxel))
+    return Cubes(voxel, corner.reshape(-1, 3), ones, normal, upper, -ones)

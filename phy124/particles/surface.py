@@ -18,7 +18,7 @@ import scipy
 from numpy.typing import NDArray
 
 from phy124.gaussians import Gaussians, rotation_matrices
-from phy124.particles.cubes import Cubes, Samples, Surface, cut_cubes, parts_of
+from phy124.particles.cubes import Cubes, Samples, Surface, parts_of
 from phy124.particles.stems import STEM_PARTS, find_stems
 
 Array = NDArray[Any]
@@ -278,7 +278,7 @@ def _find_planes(faces: _Faces, near: _Near) -> tuple[Array, Array]:
 def _make_slabs(faces: _Faces, near: _Near) -> Cubes:
     normal = faces.normal[near.main]
     planes = [height[:, None] for height in _find_planes(faces, near)]
-    return cut_cubes(near.voxel, near.corner[:, None], np.ones((len(normal), 1)), normal, *planes)
+    return _cubes(near.voxel, near.corner[:, None], np.ones((len(normal), 1)), normal, *planes)
 
 
 def _cut_edges(faces: _Faces, near: _Near) -> Cubes:
@@ -307,13 +307,27 @@ def _cut_edges(faces: _Faces, near: _Near) -> Cubes:
     share = _share_below(points, main, upper) - _share_below(points, main, lower)
     weight = np.where(is_concave, np.maximum(np.minimum(weight, share), added), weight)
     upper, lower = np.where(is_concave, np.inf, upper), np.where(is_concave, -np.inf, lower)
-    return cut_cubes(near.voxel, corner, weight, main, upper, lower)
+    return _cubes(near.voxel, corner, weight, main, upper, lower)
 
 
 def _share_below(points: Array, normal: Array, top: Array) -> Array:
     """Return the fractions [V,P] of the parts around points [V,P,3] below planes."""
     extent = np.abs(normal).sum(axis=1)[:, None] / PARTS
     return np.clip(0.5 + (top - np.einsum("vpi,vi->vp", points, normal)) / extent, 0, 1)
+
+
+def _cubes(
+    voxel: Array, corner: NDArray, weight: Array, normal: Array, upper: Array, lower: Array
+) -> Cubes:
+    """Return the P cubes of each of V voxels; planes have the heights `upper` and `lower` [V,1]."""
+    parts = corner.shape[1]
+    half = 0.5 / round(parts ** (1 / 3))
+    level = np.einsum("vpi,vi->vp", corner + half, normal)
+    # Planes at a distance of 1 are outside a cube.
+    planes = [np.clip(height - level, -1, 1).ravel() for height in (upper, lower)]
+    normals = np.repeat(normal, parts, axis=0)
+    place = corner.reshape(-1, 3).astype(np.float64)
+    return Cubes(np.repeat(voxel, parts), place, weight.ravel(), normals, *planes)
 
 
 def _sums(which: Array, values: Array) -> Array:
