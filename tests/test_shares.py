@@ -53,3 +53,14 @@ def test_thin_layer_inside_a_cell_has_its_own_points():
     assert layer.any()
     z = particles.x[:, 2].reshape(-1, 8)[layer[::8]]
     assert np.ptp(z, axis=1).max() < 0.03
+
+
+@pytest.mark.parametrize(("height", "more"), [(0.625, None), (0.56, "more"), (0.57, "less")])
+def test_note_states_the_mass_that_static_parts_gain_or_lose(height, more):
+    """The side of a cell is 0.125."""
+    data = Scene.named("spin").data()
+    data["accuracy"] = {"cells": 8, "solver": "lattice"}
+    data["parts"] = [{"region": {"lower": [-9, -9, -9], "upper": [9, 9, height]}, "static": True}]
+    notes = " ".join(prepare(ball(), Scene.from_data(data)).notes)
+    said = f"{more} mass than in their regions, because static parts end at whole cells"
+    assert said in notes if more else "whole cells" not in notes

@@ -109,6 +109,17 @@ def divide_cells(
     )
 
 
+def find_excess(points: Particles, solid: Solid, parts: Parts) -> float:
+    """Return by which fraction the cells that move exceed the volume of the material that moves.
+
+    `points` are the result of `divide_cells`. The fraction is negative if volume is missing.
+    """
+    pieces = _pieces(solid, parts)
+    volume = pieces.volume[~parts.static[pieces.part]].sum()
+    cells = points.volume[~parts.static[points.material]].sum()
+    return float(cells / volume - 1) if volume > 0 else 0.0
+
+
 def _pieces(solid: Solid, parts: Parts) -> _Pieces:
     index, fraction, _, shift, spread = solid.voxels
     middle, volume = (index + solid.first + 0.5 + shift) * solid.voxel, fraction * solid.voxel**3

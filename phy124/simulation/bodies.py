@@ -30,6 +30,7 @@ from phy124.mpm import FreeBody
 from phy124.particles import Cleaning, Particles, clean, make_particles
 from phy124.particles.lattice import PER_CELL, cells_of, lattice_of, points_of, repeat_for_points
 from phy124.particles.scatter import scatter
+from phy124.particles.shares import find_excess
 from phy124.particles.solid import Solid, find_interior
 from phy124.particles.thickness import Proportions, measure_proportions
 from phy124.scene import Scene, SceneObject
@@ -43,6 +44,8 @@ GRAINY = 24_000
 """Approximate number of Gaussians of a shape whose grains differ in brightness."""
 FEWEST = 8
 """A further object with fewer cells along its longest side causes a note about a coarse grid."""
+NOTICEABLE = 0.02
+"""Smallest relative difference of the mass of the moving parts that causes a note."""
 PER_GAUSSIAN = ("max_stretch", "rounds", "flows", "holds", "kinds")
 
 
@@ -249,13 +252,15 @@ def _clean_and_place(gaussians: Gaussians, scene: Scene, crop: Crop) -> Placed:
 
 def _with_particles(placed: Placed, spacing: float) -> Body:
     scene, gaussians, belonging = placed.scene, placed.gaussians, placed.belonging
-    alone, points = gaussians.select(belonging), None
+    alone, points, excess = gaussians.select(belonging), None, 0.0
     interior = placed.interior or find_interior(alone)
     canvas = Canvas.of(alone.means, placed.crop, euler(scene.object.turn))
     if all(scene.on_lattices):
         density, solid = scene.material.density, interior.resample(spacing, per_cell=2)
         parts = parts_of(scene, gaussians.means, canvas)
         points = lattice_of(solid, density=density, dx=2 * spacing, parts=parts)
+        if parts is not None and parts.static.any():
+            excess = find_excess(points, solid, parts)
         particles = cells_of(points)
     else:
         particles = make_particles(
@@ -277,10 +282,21 @@ def _with_particles(placed: Placed, spacing: float) -> Body:
     elif scene.binding == "lattice":
         particles = scatter(particles, interior, materials, spacing=spacing, seed=scene.seed)
     appearance = make_appearance(gaussians, particles, moves, materials, scene, spacing)
-    cleaned = placed.cleaned.sentences, placed.cleaned.notes
+    cleaned = placed.cleaned.sentences, placed.cleaned.notes + _note_excess(excess)
     interiors = [(interior, scene.object.size)]
     placed = placed._replace(interior=interior)
     return Body(scene, *cleaned, gaussians, appearance, materials, stiffness, interiors, placed)
+
+
+def _note_excess(excess: float) -> list[str]:
+    if abs(excess) < NOTICEABLE:
+        return []
+    more = "more" if excess > 0 else "less"
+    return [
+        f"The moving parts have {abs(excess):.0%} {more} mass than in their regions, because "
+        "static parts end at whole cells on a lattice; a larger accuracy.cells reduces this "
+        "difference."
+    ]
 
 
 def _without_particles(placed: Placed) -> Body:
