@@ -15,6 +15,7 @@ from phy124.runtime.context import RunContext
 from phy124.scene import Scene, preset_names
 from phy124.simulation import Simulation, prepare
 from phy124.studies.validation.bodies import surface_of_ball
+from support.liquids import pool
 
 pytestmark = pytest.mark.usefixtures("coarse_solids")
 
@@ -54,6 +55,15 @@ def test_particles_are_a_remedy_on_the_lattice_only():
     assert remedy.words == "accuracy.solver = mpm"
     assert not scene.replaced(remedy.changes).on_lattice
     assert find_remedies(["solver"], scene.replaced(remedy.changes)) == ()
+
+
+def test_lattices_are_a_remedy_in_a_liquid():
+    """The substeps of bodies do not change the steps of the liquid."""
+    scene = pool().replaced({"accuracy.solver": "mpm"})
+    (remedy,) = find_remedies(["solver", "substep"], scene)
+    assert remedy.words == "accuracy.solver = lattice"
+    assert not scene.immerses and scene.replaced(remedy.changes).immerses
+    assert find_remedies(["solver"], pool(material={"law": "sand"})) == ()
 
 
 def test_only_sure_remedies_are_proposed_on_lattices():

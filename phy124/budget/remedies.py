@@ -5,6 +5,7 @@ Each remedy is sufficient by itself. `phy124 stress` tests the remedies that run
 
 import math
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import Any
 
 from phy124.errors import InputError, Remedy
@@ -102,8 +103,19 @@ def _end_motion(scene: Scene, time: float) -> Remedy | None:
     return Remedy(words, changes) if changes else None
 
 
-def _leave_lattice(scene: Scene) -> Remedy | None:
-    return change_accuracy(scene, solver="mpm") if scene.on_lattice else None
+def _change_solver(scene: Scene) -> Remedy | None:
+    """Propose particles instead of lattices. In a liquid, propose lattices instead of particles:
+    the vibrations of a light ball of particles that a lid held under water grew until the run
+    stopped, but on a lattice they decayed.
+    """
+    if scene.on_lattice:
+        return change_accuracy(scene, solver="mpm")
+    if not scene.mixes or scene.immerses:
+        return None
+    remedy = change_accuracy(scene, solver="lattice")
+    with suppress(InputError):
+        return remedy if scene.replaced(remedy.changes).immerses else None
+    return None
 
 
 def _choose_sounder_law(scene: Scene) -> Remedy | None:
@@ -181,7 +193,7 @@ def _raise_ceiling(scene: Scene) -> Remedy | None:
 
 REMEDIES: dict[str, Callable[[Scene], Remedy | None]] = {
     "law": _choose_sounder_law,
-    "solver": _leave_lattice,
+    "solver": _change_solver,
     "substep": _shorten_substep,
     "precision": _use_double,
     "push": _halve_push,
