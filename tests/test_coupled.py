@@ -105,6 +105,13 @@ def test_lattice_slides_on_particles(friction):
     assert gained == pytest.approx(expected, abs=1e-2)
 
 
+def test_lattice_that_overlaps_particles_at_the_start_stays_at_rest():
+    solver = make((10, 10, 8), (0.2, 0.2, 0), block((0.3,) * 3, low=(0.3, 0.3, 0.35)))
+    solver.advance(0.1)
+    assert solver.materials[0].most
+    assert np.abs(momenta(solver)).max() < 1e-12
+
+
 @pytest.mark.parametrize("gap", [0.0, 0.4])
 def test_lattice_hangs_from_sticky_particles_near_which_it_starts(gap):
     """A clamp holds the upper half of the particles."""

@@ -3,6 +3,7 @@
 In each substep, contact is computed on the particles' grid after the grid update, before walls.
 """
 
+import math
 from collections.abc import Callable, Iterator
 from typing import Any, cast
 
@@ -60,8 +61,10 @@ class Material(Kept):
         self._yields, self.force = zeros(model.real), zeros(t.vec3)
         self.sums = wp.zeros(SUMS, dtype=wp.float64, device=device)
         """Impulse of the particles on the body, and the impulse's moment about the origin."""
-        self.space = zeros(model.real)
-        """Distance from the material at which contact with each point begins [S], m."""
+        self.space = wp.full(count, -math.inf, dtype=model.real, device=device)
+        """Distance from the material at which contact with each point begins [S], m; -inf before
+        the point is first near the material.
+        """
         self._starts = pair.sticky
         """Whether points that touch the material in the next substep begin to stick to it."""
         self._normal = model.array(surface.normal, t.vec3)

@@ -31,6 +31,10 @@ touches the material at the start.
 """
 INSIDE = wp.constant(1e-3)
 """Depth inside the material at which such a point starts [cells], so that it cannot leave."""
+DEEPEST = wp.constant(1.0)
+"""Largest depth inside the material at which a point may start [cells]. The depth is known only
+near the material's surface.
+"""
 THINNEST, STEEPEST = wp.constant(0.02), wp.constant(0.05)
 """Smallest volume fraction and slope [1/cell] of material that a surface point touches."""
 
@@ -65,8 +69,11 @@ def make_grid_touch(real: Any, rows: Rows):
     change of the relative velocity per unit impulse. Impulses do not change the velocity of fixed
     material (`moves` is 0).
 
-    Contact with a point begins at the distance `space_out` from the material. Points that face the
-    material, and are up to `most` [cells] away, keep their present distance.
+    Contact with a point begins at the distance `space_out` from the material, which is -inf until
+    the point is first near the material. A point that is then inside the material, at most
+    `DEEPEST`, keeps its depth until it leaves the material, because moving the point out would
+    create energy. Points that face the material, and are up to `most` [cells] away, keep their
+    present distance.
     """
     t = types(real)
     moved_by, yielding, strike = rows.moved_by, rows.yielding, rows.strike
@@ -132,6 +139,8 @@ def make_grid_touch(real: Any, rows: Rows):
             if part > real(THINNEST) and steep > real(STEEPEST) and yields_out[s] > zero:
                 n = -wp.normalize(grad)
                 far = (real(SURFACE) - part) / steep * lattice[3]
+                if wp.isinf(space_out[s]) or (space_out[s] < zero and far > zero):
+                    space_out[s] = wp.clamp(far, -real(DEEPEST) * lattice[3], zero)
                 if far > zero and far < most * lattice[3] and faces(normal[s], n):
                     space_out[s] = far + real(INSIDE) * lattice[3]
                 gap_out[s] = wp.vector(n[0], n[1], n[2], far - space_out[s])
