@@ -1,5 +1,7 @@
 """Forces that act on a part of a body (phy124/lattice/reach.py)."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import warp as wp
@@ -41,3 +43,12 @@ def test_motion_is_the_same_as_if_all_points_were_processed(monkeypatch, precisi
 def test_forces_on_whole_bodies_reach_all_cells(force):
     solver = make(fork(), DAMPED, forces=[force, GRAB], precision="float32")
     assert all(worker.reach.cells is None for worker in solver.workers)
+
+
+def test_push_does_not_compute_the_mass_that_a_hand_feels():
+    """A controller may push in every frame, and this mass takes as long as a frame."""
+    solver = make(fork(), DAMPED, precision="float32")
+    model = replace(solver.model, respond=lambda force: pytest.fail("the mass is computed"))
+    assert PUSH.attach(model, solver.state, solver.tracks)
+    with pytest.raises(pytest.fail.Exception):
+        GRAB.attach(model, solver.state, solver.tracks)

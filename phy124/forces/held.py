@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import ClassVar, Literal, NamedTuple
 
@@ -46,7 +47,9 @@ class Part(NamedTuple):
     mass: float
     """Weighted mass of the part: the sum of w m [kg]."""
     drawn: float
-    """Effective mass of the part at the start [kg]: force divided by acceleration of the centre."""
+    """Effective mass of the part at the start [kg]: force divided by acceleration of the centre;
+    NaN unless a grab pulls the part.
+    """
     reach: float
     """Distance between the centre of the part and its farthest particle, at rest [m]."""
     inertia: float
@@ -54,7 +57,14 @@ class Part(NamedTuple):
 
     @classmethod
     def of(
-        cls, model: Model, point: Vector | None, radius: float, field: str, name: str | None = None
+        cls,
+        model: Model,
+        point: Vector | None,
+        radius: float,
+        field: str,
+        name: str | None = None,
+        *,
+        pulled: bool = True,
     ) -> Part:
         """Return the part of an object that is within a radius of a point at rest.
 
@@ -64,6 +74,7 @@ class Part(NamedTuple):
             radius: Radius of the part [m].
             field: Name of the point's field in the scene, for messages.
             name: Name of the object; None: the part may belong to any object.
+            pulled: Whether a grab pulls the part, so that `drawn` is needed.
 
         Raises:
             InputError: The part contains no particle.
@@ -84,8 +95,8 @@ class Part(NamedTuple):
         total = float(mass.sum())
         share = mass / total
         r = model.rest[index] - share @ model.rest[index]
-        drawn = total / float(share @ weight)
-        if model.respond is not None:
+        drawn = total / float(share @ weight) if pulled else math.nan
+        if pulled and model.respond is not None:
             force = np.zeros(len(model))
             force[index] = share
             drawn = 1 / float(share @ model.respond(force)[index])
@@ -242,7 +253,8 @@ class WrenchForce(Force):
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
         """Return the stages that compute the part's centre, and apply the force and the torque."""
-        part = Part.of(model, self.point, self.radius, "forces.point", self.object)
+        place = self.point, self.radius, "forces.point", self.object
+        part = Part.of(model, *place, pulled=False)
         push = tracks.add(self.track(self.force), limited=True)
         turn = tracks.add(self.track(self.torque), limited=True)
         turned, kernel = any(self.torque), kernels.make_wrench(model.real)

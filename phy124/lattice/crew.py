@@ -124,9 +124,9 @@ class Crew:
         matrix.weights = model.array(ties.data, model.real)
         return matrix
 
-    def reach(self, points: NDArray[np.int64] | None) -> None:
-        """Set the indices of the points on which forces act from now on; None: all points."""
-        reached = find_reach(points, self._lattice, self.workers, self._model.device)
+    def reach(self, cells: NDArray[np.int64] | None) -> None:
+        """Set the cells with points on which forces act from now on; None: all cells."""
+        reached = find_reach(cells, self._lattice, self.workers, self._model.device)
         for worker, reach in zip(self.workers, reached, strict=True):
             worker.reach = reach
 

@@ -35,26 +35,31 @@ class Reach(NamedTuple):
     """Range of indices that contains these nodes."""
 
 
-def points_of(forces: Sequence[Stage]) -> NDArray[np.int64] | None:
-    """Return the indices of the points on which forces act; None if they may act on all points."""
-    chosen = [stage.points for stage in forces if stage.points is not None]
-    return np.unique(np.concatenate(chosen)) if chosen and len(chosen) == len(forces) else None
+def cells_of(forces: Sequence[Stage], count: int) -> NDArray[np.int64] | None:
+    """Return the cells (of `count`) with points on which forces act.
+
+    The result is None if forces may act on all points, or on more than the fraction `MOST` of the
+    cells.
+    """
+    reached = np.zeros(count, bool)
+    for stage in forces:
+        if stage.points is None:
+            return None
+        reached[stage.points // PER_CELL] = True
+    return np.flatnonzero(reached) if reached.sum() <= MOST * count else None
 
 
 def find_reach(
-    points: NDArray[np.int64] | None, lattice: RestLattice, workers: Sequence[Worker], device: str
+    cells: NDArray[np.int64] | None, lattice: RestLattice, workers: Sequence[Worker], device: str
 ) -> list[Reach]:
-    """Return what forces on some points reach, for each worker.
+    """Return what forces on points reach, for each worker.
 
     Args:
-        points: Indices of the points; None: all points.
+        cells: Indices of the cells with these points, sorted; None: all cells.
         lattice: The lattice of the bodies.
         workers: The workers.
         device: Name of the device.
     """
-    cells = None if points is None else np.unique(points // PER_CELL)
-    if cells is not None and len(cells) > MOST * len(lattice.rows):
-        cells = None
     reached = np.ones(len(lattice), bool)
     if cells is not None:
         reached[:] = False

@@ -18,7 +18,7 @@ from phy124.lattice.energies import Energies
 from phy124.lattice.limits import Limits
 from phy124.lattice.meetings import Meetings
 from phy124.lattice.motion import make_nodes
-from phy124.lattice.reach import points_of
+from phy124.lattice.reach import cells_of
 from phy124.lattice.rest import RestLattice
 from phy124.lattice.shock import LatticeClock, in_shock_only, largest_calm_rate
 from phy124.lattice.solids import Solids
@@ -199,7 +199,7 @@ class LatticeSolver(Kept):
         """Record the kernel launches of one substep."""
         crew, pushed = self.crew, bool(self._forces)
         if pushed:
-            crew.reach(points_of(self._forces))
+            crew.reach(cells_of(self._forces, len(self.lattice.rows)))
         self.energies.attach(self.tracks, self.walls, self.meetings, self.free)
         for index, worker in enumerate(self.workers):
             before = [crew.locate(worker), self._push(index)] if pushed else []
