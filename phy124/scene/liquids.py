@@ -43,7 +43,7 @@ def note_compressible(scene: Any) -> str | None:
     return (
         f"Pressure projection is not used for the liquid: {reason_for_compressible(scene)}. Waves "
         "of a compressible liquid are too high, and other objects sink and rise too slowly in it "
-        "(in a test, a block of metal sank 0.17 m within 1 s, with projection 0.46 m). To use "
+        "(in a test, a block of metal sank 0.16 m within 1 s, with projection 0.50 m). To use "
         "projection, change this setting."
     )
 
