@@ -56,9 +56,9 @@ BYTES_PER_PARTICLE = 400
 BYTES_PER_POINT = 1100
 """Memory per lattice point, with the arrays from which the lattice is built [bytes]."""
 BYTES_PER_NODE = 32
-BYTES_PER_CELL = 4 * 1000
+BYTES_PER_CELL = 4 * 1250
 """Memory of a projected liquid per cell that the liquid fills at rest [bytes]. A cell takes 1 kB,
-and a liquid in a basin may spread over four times as many cells.
+or 1.25 kB with viscosity, and a liquid in a basin may spread over four times as many cells.
 """
 BYTES_PER_GAUSSIAN = 40
 """Memory per Gaussian and frame [bytes]."""
