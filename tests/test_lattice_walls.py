@@ -19,7 +19,7 @@ from phy124.mpm import FreeBody, Pair
 from phy124.runtime.context import RunContext
 from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
-from phy124.studies.validation.bodies import surface_of_ball
+from phy124.studies.validation.bodies import fill_solid, surface_of_ball
 from phy124.studies.validation.experiments.pressed_block import stress
 from support.lattices import DAMPED, DX, SOFT, block, make, make_bodies
 
@@ -90,6 +90,19 @@ def test_block_hangs_from_a_ceiling_near_which_it_starts(contact, gap):
     assert force == pytest.approx(64 * 2.0, rel=0.01)
     sunk = (solver.model.rest - solver.state.x.numpy())[:, 2].mean()
     assert sunk == pytest.approx(1000 * 2.0 * 0.4**2 / 3 / DAMPED.E, abs=0.01 * DX)
+
+
+def test_sticky_floor_holds_no_more_of_a_ball_than_the_ball_touches():
+    """Otherwise, the ball would sink much less."""
+    low, high, soft = np.array([-0.6, -0.6, 0]), np.array([0.6, 0.6, 1.2]), DAMPED
+    ball = fill_solid(lambda x: np.linalg.norm(x - [0, 0, 0.6], axis=-1) - 0.6, low, high, DX / 2)
+    pull, sunk = Gravity(g=(0, 0, -9.0)), []
+    for contact in ("separate", "sticky"):
+        solver = make(ball, soft, forces=[pull], boundaries=[HalfSpace(contact=contact)])
+        solver.advance(0.2)
+        sunk.append((solver.model.rest - solver.state.x.numpy())[:, 2].mean())
+    assert sunk[0] > 0.5 * DX
+    assert sunk[1] == pytest.approx(sunk[0], rel=0.06)
 
 
 def test_pressed_block_has_the_exact_force():
@@ -302,9 +315,9 @@ def test_note_names_sides_of_a_container_and_no_contact_that_they_have():
 def test_note_names_walls_between_which_there_is_too_little_space(contact):
     """A plate passes the middle of a sphere, to which the material sticks or not."""
     down = {"kind": "path", "times": [0, 0.04], "points": [[0, 0, 0], [0, 0, -0.4]]}
-    along = {"kind": "path", "times": [0, 0.03], "points": [[0, 0, 0], [0, 0.56, 0]]}
+    along = {"kind": "path", "times": [0, 0.03], "points": [[0, 0, 0], [0, 0.5, 0]]}
     plate = {"kind": "half_space", "point": [0, 0, 1], "normal": [0, 0, -1], "contact": "slip"}
-    sphere = {"kind": "sphere", "centre": [0, -0.86, 0.7], "radius": 0.25, "contact": contact}
+    sphere = {"kind": "sphere", "centre": [0, -0.8, 0.7], "radius": 0.25, "contact": contact}
     scene = Scene.from_data(
         {
             "material": {"law": "neo_hookean", "E": 2e5, "density": 200.0, "damping": 1000.0},
@@ -323,14 +336,14 @@ def test_note_names_walls_between_which_there_is_too_little_space(contact):
         assert depth < 0.3 and not messages
     else:
         assert (inside, touching) == (0, 1)
-        # At the last frame, the sphere has moved by 0.56 m, and the plate has passed three quarters
+        # At the last frame, the sphere has moved by 0.5 m, and the plate has passed three quarters
         # of the time of its smooth path.
         low = 1 - 0.4 * (1 + math.sqrt(0.5)) / 2
         surface, u = run.solver.surface, run.solver.nodes_state.u.numpy()
         x = surface.x + np.einsum("sk,skd->sd", surface.weights, u[surface.nodes])
         held = np.linalg.norm(x - (0, -0.3, 0.7), axis=1) - 0.25 < TOUCHING * surface.dx
         assert depth == pytest.approx((x[held, 2].max() - low) / surface.dx, abs=1e-3)
-        assert len(messages) == 1 and "0.9 cells inside half_space" in messages[0]
+        assert len(messages) == 1 and f"{depth:.1f} cells inside half_space" in messages[0]
         assert "half_space and sphere" in messages[0]
 
 

@@ -1,18 +1,9 @@
-"""Finds the surface points that touch a surface at the start, and their distances from it.
-
-The surfaces of bodies are known to within one cell only, so surfaces that should touch may start at
-some distance. If a surface holds points, it also holds these points, at their initial distances.
-"""
+"""Finds the distances at which surfaces hold points that touch them at the start."""
 
 import numpy as np
 from numpy.typing import NDArray
 
-from phy124.kernels.lattice.grid import INSIDE, PARALLEL
-
-NEAR = 0.75
-"""Largest initial distance of a point that touches a surface [cells]. The surfaces of two boxes of
-48 cells that stand side by side are up to 0.64 cells apart.
-"""
+from phy124.kernels.lattice.start import CLOSE, FACING, INSIDE, NEAR, PARALLEL
 
 
 def initial_gaps(
@@ -28,6 +19,6 @@ def initial_gaps(
         normal: Outward normals at the points [K,3]; zero on sheets.
         dx: Side of a cell [m].
     """
-    parallel = ~normal.any(axis=1) | ((n * normal).sum(axis=1) < -PARALLEL)
-    touches = (gap > 0) & (gap < NEAR * dx) & parallel
-    return np.where(touches, gap + INSIDE * dx, -np.inf)
+    cosine = np.where(normal.any(axis=1), -(n * normal).sum(axis=1), 1.0)
+    reach = np.select([cosine >= PARALLEL, cosine >= FACING], [NEAR, CLOSE], 0.0) * dx
+    return np.where((gap > 0) & (gap < reach), gap + INSIDE * dx, -np.inf)

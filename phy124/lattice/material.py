@@ -17,7 +17,6 @@ from phy124.kernels.lattice import grid as kernels
 from phy124.kernels.lattice.rows import rows_for
 from phy124.kernels.launches import put
 from phy124.lattice.clamps import PassedOn
-from phy124.lattice.gaps import NEAR
 from phy124.lattice.surface import Surface
 from phy124.lattice.walls import Nodes
 from phy124.mpm.grid import Grid
@@ -87,7 +86,7 @@ class Material(Kept):
         kernel = kernels.make_grid_near(model.real, rows)
         inputs = [*self._points, nodes.u, *on_grid]
         self._look = model.launch(kernel, count, inputs, [self._flags])
-        inputs = [self._list, 0, self._fill, self._moves, 0.0, *self._points, self._normal]
+        inputs = [self._list, 0, self._fill, self._moves, 0, *self._points, self._normal]
         inputs += [nodes.movable, nodes.u, clock, *on_grid]
         outputs = [self.space, nodes.v, self._gap, self._on, self._place, self._yields, self.force]
         touch = model.launch(kernels.make_grid_touch(model.real, rows), 1, inputs, outputs)
@@ -116,7 +115,7 @@ class Material(Kept):
                 launch = self._launches[number]
                 launch.set_param_at_index(1, len(self._near))
                 if number == 0:
-                    launch.set_param_at_index(4, NEAR if self._starts else 0.0)
+                    launch.set_param_at_index(4, int(self._starts))
                 launch.launch()
                 if number == 2 and self._passed is not None:
                     self._passed.set_dim(len(self._near))

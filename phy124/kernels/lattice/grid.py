@@ -19,18 +19,13 @@ from phy124.kernels.contacts import SUMS as PAIR_SUMS
 from phy124.kernels.diagnostics import add3, wide
 from phy124.kernels.lattice.responses import LIMITS, RELAXED, correct, there_and_back
 from phy124.kernels.lattice.rows import Rows
+from phy124.kernels.lattice.start import INSIDE, touches_at_start
 from phy124.kernels.pairs import mass_at
 from phy124.kernels.transfer import first_node, slope, spline
 from phy124.kernels.window import strides
 
 SURFACE = wp.constant(0.5)
 """Volume fraction at the assumed surface of the material on a grid."""
-PARALLEL = wp.constant(0.9)
-"""Smallest cosine between the normal of the material and the reversed normal at a point that
-touches the material at the start.
-"""
-INSIDE = wp.constant(1e-3)
-"""Depth inside the material at which such a point starts [cells], so that it cannot leave."""
 DEEPEST = wp.constant(1.0)
 """Largest depth inside the material at which a point may start [cells]. The depth is known only
 near the material's surface.
@@ -72,8 +67,7 @@ def make_grid_touch(real: Any, rows: Rows):
     Contact with a point begins at the distance `space_out` from the material, which is -inf until
     the point is first near the material. A point that is then inside the material, at most
     `DEEPEST`, keeps its depth until it leaves the material, because moving the point out would
-    create energy. Points that face the material, and are up to `most` [cells] away, keep their
-    present distance.
+    create energy. If `starts` is 1, points that touch the material keep their present distance.
     """
     t = types(real)
     moved_by, yielding, strike = rows.moved_by, rows.yielding, rows.strike
@@ -84,7 +78,7 @@ def make_grid_touch(real: Any, rows: Rows):
         count,
         fill: real,
         moves: int,
-        most: real,
+        starts: int,
         nodes,
         weights,
         rest,
@@ -141,7 +135,8 @@ def make_grid_touch(real: Any, rows: Rows):
                 far = (real(SURFACE) - part) / steep * lattice[3]
                 if wp.isinf(space_out[s]) or (space_out[s] < zero and far > zero):
                     space_out[s] = wp.clamp(far, -real(DEEPEST) * lattice[3], zero)
-                if far > zero and far < most * lattice[3] and faces(normal[s], n):
+                cosine = reversed_cosine(normal[s], n)
+                if starts == 1 and touches_at_start(far / lattice[3], cosine):
                     space_out[s] = far + real(INSIDE) * lattice[3]
                 gap_out[s] = wp.vector(n[0], n[1], n[2], far - space_out[s])
                 on_out[s] = wp.vector(f[0], f[1], f[2], mass)
@@ -157,9 +152,11 @@ def make_grid_touch(real: Any, rows: Rows):
 
 
 @wp.func
-def faces(normal: Any, n: Any):
-    """Return whether a point with this normal, or a sheet, faces a surface with the normal n."""
-    return wp.length(normal) == type(n[0])(0.0) or wp.dot(normal, n) < -type(n[0])(PARALLEL)
+def reversed_cosine(normal: Any, n: Any):
+    """Return the cosine between a reversed normal and the normal n; 1 if the first normal is 0."""
+    if wp.length(normal) == type(n[0])(0.0):
+        return type(n[0])(1.0)
+    return -wp.dot(normal, n)
 
 
 @wp.func
