@@ -71,7 +71,7 @@ def test_each_run_is_made_once_and_kept(tmp_path):
     assert runs.seconds == 1.0
 
 
-def report_of(folder, *places, sampling):
+def report_of(folder, *places, sampling, cells=32):
     """Report of a fit of E in 1e4..1e5 with these places on the grids 16 and 24."""
     runs, size = runs_in(folder), np.array([sampling])
     estimated = Estimate(
@@ -83,7 +83,8 @@ def report_of(folder, *places, sampling):
         correlation=np.eye(1),
         notes=(),
     )
-    target = SimpleNamespace(scene=Scene(), declared=Fit.from_data(
+    scene = Scene().replaced({"accuracy.cells": cells})
+    target = SimpleNamespace(scene=scene, declared=Fit.from_data(
         {"target": "x", "find": {"material.E": "1e4..1e5"}}))  # fmt: skip
     clip = SimpleNamespace(report={"complete": False, "stopped": "stopped"})
     return make_report(target, runs, estimated, clip, seconds=1.0)
@@ -98,6 +99,13 @@ def test_values_beyond_their_range_are_reported_with_a_note(tmp_path):
     wide = report_of(tmp_path, 0.95, 0.95, sampling=0.1)
     assert wide["notes"][0].startswith("The interval of material.E is extrapolated beyond")
     assert len(report_of(tmp_path, 0.5, 0.5, sampling=0.1)["notes"]) == 1
+
+
+def test_a_scene_coarser_than_the_grids_of_a_fit_is_noted(tmp_path):
+    notes = report_of(tmp_path, 0.5, 0.5, sampling=0.1, cells=10)["notes"]
+    assert notes[0].startswith("The scene has 10 cells, fewer than the grids of the fit")
+    assert notes[0].endswith("give --grids 10,16.")
+    assert report_of(tmp_path, 0.5, 0.5, sampling=0.1, cells=16)["notes"] == notes[1:]
 
 
 def test_a_fit_on_a_single_grid_names_no_other_grid(tmp_path):

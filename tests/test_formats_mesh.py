@@ -10,11 +10,12 @@ from phy124.__main__ import main as run_command
 from phy124.errors import InputError
 from phy124.gaussians import Frame, Gaussians, join, rotation_matrices
 from phy124.generators.mesh import load_pieces
-from phy124.generators.shapes import ball
+from phy124.generators.shapes import ball, make_shape
 from phy124.io.clip import Clip
 from phy124.io.formats import FORMATS, write_gaussians
 from phy124.io.formats.mesh import BLUR, CELLS, find_surface, sample_density, to_trimesh
 from phy124.io.formats.moving_mesh import fit_to_clip, follow, write_moved, write_moving_mesh
+from phy124.particles.thinning import thin
 
 trimesh = pytest.importorskip("trimesh", reason="trimesh is not installed")
 pytest.importorskip("skimage", reason="scikit-image is not installed")
@@ -184,6 +185,13 @@ def test_mesh_of_the_user_keeps_its_texture_and_follows(tmp_path, spun):
     (primitive,) = document["meshes"][0]["primitives"]
     assert "TEXCOORD_0" in primitive["attributes"] and len(primitive["targets"]) == 2
     assert document["images"] and "KHR_materials_unlit" not in document.get("extensionsUsed", [])
+
+
+@pytest.mark.parametrize("count", [300, 1000])
+def test_surface_of_few_gaussians_is_filled(count):
+    few = thin(make_shape("sphere", (1.0, 1.0, 1.0), (1.0, 0.0, 0.0)), count)
+    volume = to_trimesh(find_surface(few)).volume
+    assert volume == pytest.approx(np.pi / 6, rel=0.25)
 
 
 def test_export_moves_the_mesh_of_the_user(tmp_path, spun, capsys):

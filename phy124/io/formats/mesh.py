@@ -4,9 +4,9 @@ The surface consists of the points at which the density of the Gaussians is 1/2.
 sum of opacity * exp(-d^2 / 2), where d is the Mahalanobis distance. The density is sampled on a
 grid with `CELLS` cells along the longest side. Gaussians thinner than `BLUR` cells are widened to
 this thickness, because a grid cannot resolve thinner Gaussians. The surface differs by at most one
-cell from the surface on a grid that is four times as fine. Enclosed cavities are filled. The
-triangles are computed by marching cubes (Lewiner et al. 2003, in scikit-image). A vertex has the
-mean colour of the Gaussians nearest to it.
+cell from the surface on a grid that is four times as fine. Enclosed cavities are filled, also if
+there are gaps between few Gaussians. The triangles are computed by marching cubes (Lewiner et al.
+2003, in scikit-image). A vertex has the mean colour of the Gaussians nearest to it.
 """
 
 from dataclasses import dataclass
@@ -22,6 +22,8 @@ from phy124.runtime.installation import install_command
 
 CELLS = 80
 LEVEL = 0.5
+GAP = 0.05
+"""Largest density outside the object; in gaps between wide Gaussians, the density is larger."""
 BLUR = 0.3
 """Smallest standard deviation of a Gaussian, in units of cells; thinner Gaussians are widened."""
 REACH = 2.5
@@ -133,12 +135,17 @@ def _evaluate(inverse: NDArray, shift: NDArray, offsets: NDArray) -> NDArray[np.
 
 
 def _fill_cavities(density: NDArray[np.float32]) -> None:
+    """Fill cavities, also those that are open only through gaps between wide Gaussians."""
     from scipy import ndimage
 
-    labels: Any = ndimage.label(density <= LEVEL)
-    regions, count = labels
-    if count > 1:
-        density[(regions > 0) & (regions != regions[0, 0, 0])] = 2 * LEVEL
+    for level in (LEVEL, GAP):
+        labels: Any = ndimage.label(density <= level)
+        regions = labels[0]
+        outside = regions == regions[0, 0, 0]
+        cavity = (regions > 0) & ~outside
+        if cavity.any():
+            away, out = (ndimage.distance_transform_edt(~mask) for mask in (cavity, outside))
+            density[(density <= LEVEL) & (np.asarray(away) < np.asarray(out))] = 2 * LEVEL
 
 
 def _colours(gaussians: Gaussians, points: NDArray[np.float64]) -> NDArray[np.float64]:

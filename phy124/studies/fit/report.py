@@ -59,7 +59,7 @@ def make_report(
         "runs_kept": runs.kept,
         "cpu_seconds": round(runs.seconds, 2),
         "seconds": round(seconds, 2),
-        "notes": [*estimate.notes, *_notes(runs, fitted), *stopped],
+        "notes": [*estimate.notes, *_note_coarse(estimate, cells), *_notes(runs, fitted), *stopped],
         "declared": target.declared.model_dump(mode="json", exclude_none=True),
     }
 
@@ -121,6 +121,21 @@ def _values(runs: Runs, estimate: Estimate, cells: int) -> dict[str, Any]:
         name: {**here[name], "from_measurements": sampled[name]["interval"], "limit": limit[name]}
         for name in runs.names
     }
+
+
+def _note_coarse(estimate: Estimate, cells: int) -> list[str]:
+    """Return a note if the values are extrapolated to a grid that is coarser than all others.
+
+    In a fit on 16 and 24 cells to a clip of 10 cells, the value on 10 cells was off by 2.2 %, four
+    times the half-width of its interval.
+    """
+    if len(estimate.grids) < 2 or cells >= estimate.grids[0]:
+        return []
+    return [
+        f"The scene has {cells} cells, fewer than the grids of the fit, so the intervals on "
+        f"{cells} cells may be too narrow. To run this grid, too, give "
+        f"--grids {cells},{','.join(map(str, estimate.grids[:-1]))}."
+    ]
 
 
 def _notes(runs: Runs, fitted: dict[str, Any]) -> Iterator[str]:
