@@ -6,7 +6,7 @@ import warp as wp
 
 from phy124.boundaries import Ground, HalfSpace, Held
 from phy124.forces import Acceleration
-from phy124.kernels.lattice import points, work
+from phy124.kernels.lattice import nodes, points, work
 from phy124.kernels.lattice.simd import has_stress
 from phy124.kernels.lattice.stress import CLOSING, GRADIENT, SPEED
 from phy124.lattice import impulses, kernels, material, solids
@@ -190,6 +190,7 @@ def test_lattice_compiles_for_cuda(arch, tmp_path):
         work.make_push_work(wp.float32),
         points.make_locate(wp.float32),
         points.make_push(wp.float32),
+        nodes.make_copy(wp.float32),
     )
     modules = {kernel.module.name: kernel.module for kernel in made}
     for name, module in modules.items():
