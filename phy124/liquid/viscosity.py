@@ -135,7 +135,7 @@ class Viscosity:
             return []
         kernel = viscous.make_release(self._model.real)
         cells = self._cells
-        return [(STAGE, cells.record(worker, kernel, [self._excess], [cells.pressure]))]
+        return [(STAGE, cells.record(worker, kernel, [], [cells.pressure, self._excess]))]
 
     def solve(self, run: Callable[[int], None], begin: int) -> int:
         """Iterate until the residual is small; return the number of iterations.

@@ -447,12 +447,13 @@ def make_bulk(real: Any):
 
 @build_once
 def make_release(real: Any):
-    """Kernel over cells: subtracts the pressure of the bulk strain from the pressure solution."""
+    """Kernel over cells: subtracts the pressure of the bulk strain once from the pressure."""
 
     @kernel(f"phy124_liquid_release_{real.__name__}", real)
-    def release(worker: int, active: Ints, ends: Ints, excess: Doubles, pressure_out: Doubles):
+    def release(worker: int, active: Ints, ends: Ints, pressure_out: Doubles, excess_out: Doubles):
         n = entry(active, ends, worker, wp.tid())
         if n >= 0:
-            pressure_out[n] = pressure_out[n] - excess[n]
+            pressure_out[n] = pressure_out[n] - excess_out[n]
+            excess_out[n] = wp.float64(0.0)
 
     return release
