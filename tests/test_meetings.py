@@ -102,6 +102,21 @@ def test_solid_box_leaves_a_block_at_rest_that_it_overlaps():
     assert np.abs(solver.free.motions()).max() == 0 == np.abs(solver.state.v.numpy()).max()
 
 
+@pytest.mark.parametrize("solid_moves", [True, False])
+def test_a_block_and_a_solid_that_are_moved_together_stay_at_rest(solid_moves):
+    box, still = FreeBody("box", "box", (0.2,) * 3, (0.2, 0.2, 0.6)), (0, 0, 0)
+    solver = make_bodies([block((0.4, 0.4, 0.4))], free=[box])
+    solver.advance(0.01)
+    if solid_moves:
+        solver.free.put(0, ((0.2, 0.2, 0.55), (1, 0, 0, 0), still, still))
+        solver.clock.expire()
+    else:
+        solver.carry_nodes(lambda x, v: (x + [0, 0, 0.05], v))
+    solver.advance(0.1)
+    assert np.abs(solver.free.motions()).max() < 1e-12
+    assert np.abs(solver.state.v.numpy()).max() < 1e-12
+
+
 @pytest.mark.parametrize("gap", [0.0, 0.4, 0.7])
 def test_block_hangs_from_a_sticky_block_near_which_it_starts(gap):
     low = block((0.4, 0.4, 0.4), per=10)

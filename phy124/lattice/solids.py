@@ -5,6 +5,7 @@ conserved.
 """
 
 import itertools
+import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, cast
 
@@ -104,6 +105,17 @@ class Solids(FreeBodies):
         for touch, kept in zip(self._touches, earlier, strict=False):
             touch.restore(kept)
         self._list(turn=not earlier)
+
+    def put(self, index: int, motion: Sequence[Any]) -> None:
+        """Set the motion of a solid, as `FreeBodies.put` does, and begin its contact again."""
+        super().put(index, motion)
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin the contact with all solids again, after a body or a solid has been moved."""
+        for touch in self._touches:
+            touch.force.zero_()
+            touch.space.fill_(-math.inf)
 
     def stages(self, passed: PassedOn | None) -> list[list[Named]]:
         """Return the launches of a substep that apply, correct and sum the impulses of solids."""

@@ -301,7 +301,7 @@ class LatticeSolver(Kept):
     def carry_nodes(
         self, carry: Callable[[NDArray, NDArray], tuple[NDArray, NDArray]], body: int = 0
     ) -> None:
-        """Set positions and velocities of a body's nodes, and reset the forces of walls to zero.
+        """Set positions and velocities of a body's nodes, and begin all contact again.
 
         `carry` computes the new positions and velocities [N,3] from the current ones.
         """
@@ -316,6 +316,7 @@ class LatticeSolver(Kept):
         nodes.residue.zero_()
         self.walls.forget()
         self.meetings.forget()
+        self.free.forget()
         self.crew.stray.zero_()
         self.limits.look()
         self.clock.expire()
