@@ -353,7 +353,8 @@ class _Contact(Kept):
     def closest(self) -> float:
         """Return the smallest distance of a listed point [m]; infinite if no point is listed."""
         gap, space = self._gap.numpy()[self._near, 3], self.space.numpy()[self._near]
-        return float(np.where(np.isfinite(space), gap + space, np.inf).min(initial=np.inf))
+        counted = np.isfinite(space)
+        return float((gap[counted] + space[counted]).min(initial=np.inf))
 
     def limit(self, reach: float) -> None:
         """Set the distance from the wall within which contact is computed [m]."""
