@@ -17,6 +17,7 @@ from phy124.monitor.external_work import UNIFORM, ExternalWork, MeanWork, Sums
 from phy124.monitor.observer import Observer
 from phy124.mpm import Model, Stage, State
 from phy124.mpm.tracks import Tracks
+from phy124.runtime.weakly import weakly
 
 
 class LiquidMotion(NamedTuple):
@@ -45,9 +46,14 @@ class StepWork(ExternalWork):
 
     def follow_steps(self, solver: Any) -> None:
         """Sum impulse and work after each step of the liquid from now on."""
-        self._pool, self._wet = solver, getattr(solver, "liquid", solver)
+        self._pool = solver
         self._moments = Moments(self._wet.model, [slice(0, len(self._wet.model))])
-        self._wet.follower = self._follow
+        self._wet.follower = weakly(self._follow)
+
+    @property
+    def _wet(self) -> Any:
+        """The liquid's solver. It is not stored, because its bodies may refer to this observer."""
+        return getattr(self._pool, "liquid", self._pool)
 
     def begin(self, momentum: Sums) -> None:
         """Start a frame: measure the motion."""
