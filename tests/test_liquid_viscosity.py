@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from phy124.boundaries import HalfSpace
+from phy124.boundaries import HalfSpace, Path
 from phy124.liquid.viscosity import Viscosity
 from phy124.studies.validation.experiments.sinking import VISCOSITY, exact_loss, sink
 from support.liquids import DENSITY, G, block, liquid, run
@@ -52,6 +52,17 @@ def test_viscous_block_slides_down_a_smooth_slope():
     duration = solver.clock.time - solver.clock.last_dt / 2
     speed = solver.state.v.numpy().mean(axis=0) @ along
     assert speed == pytest.approx(G * np.sin(angle) * duration, rel=0.05)
+
+
+def test_sticky_wall_drags_along_a_liquid_at_rest():
+    motion = Path(times=(0, 1), points=((0, 0, 0), (0.3, 0, 0)), smooth=False)
+    plate = HalfSpace(point=(0, 0, 0), normal=(0, 0, 1), contact="sticky", motion=motion)
+    x = block((-0.25, -0.25, 0), (0.25, 0.25, 0.5), 16)
+    solver = run(liquid(x, 16, [plate], gravity=(0, 0, 0), viscosity=1000), 4)
+    impulse = solver.impulses.wrench("wall_0").numpy()[0]
+    momentum = (solver.model.mass.numpy() * solver.state.v.numpy()[:, 0]).sum()
+    assert momentum == pytest.approx(impulse, rel=0.05)
+    assert momentum > 0.3 * 0.3 * DENSITY * 0.5**3
 
 
 def test_stiff_viscous_equation_takes_few_iterations(iterations):

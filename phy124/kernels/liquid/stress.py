@@ -144,6 +144,8 @@ def make_start(real: Any):
             inverse = wp.vec3d()
             residual = wp.vec3d()
             for axis in range(3):
+                # A moving wall can drive liquid at rest; its faces count as those of full cells.
+                momentum = wp.abs(item(u, n)[axis])
                 if item(states, n) & (1 << axis) > 0:
                     c = (axis + 2) % 3
                     d = (axis + 1) % 3
@@ -157,9 +159,9 @@ def make_start(real: Any):
                     if total > real(0.0):
                         inverse[axis] = wp.float64(1.0) / wp.float64(total)
                         residual[axis] = -force[axis]
-                    speed = wp.float64(item(masses, n)[axis]) * item(u, n)[axis]
-                    right = wp.max(right, wp.abs(speed))
+                    momentum *= wp.float64(item(masses, n)[axis])
                     largest = wp.max(largest, wp.abs(residual[axis]))
+                right = wp.max(right, momentum)
             z = wp.cw_mul(inverse, residual)
             product += wp.dot(z, residual)
             inverse_out[n] = inverse
