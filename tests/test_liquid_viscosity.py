@@ -65,6 +65,13 @@ def test_sticky_wall_drags_along_a_liquid_at_rest():
     assert momentum > 0.3 * 0.3 * DENSITY * 0.5**3
 
 
+def test_viscous_block_on_an_oblique_wall_throws_out_no_jets():
+    x = block((-0.25, -0.25, 0.2), (0.25, 0.25, 0.7), 24)
+    slope = HalfSpace(point=(0, 0, 0), normal=(0.1, 0, 1), contact="slip")
+    y = np.abs(run(liquid(x, 24, [slope], viscosity=1000), 16).state.x.numpy()[:, 1])
+    assert y.max() < 1.2 * np.percentile(y, 99)
+
+
 def test_stiff_viscous_equation_takes_few_iterations(iterations):
     x = block((0, 0, 0), (0.5, 0.5, 0.5), 16)
     solver = run(liquid(x, 16, [FLOOR], viscosity=1e5), 6)

@@ -215,7 +215,11 @@ class Phases:
         energies = self.energies
         pressed = energies.of_walls(AT_PRESSURE, worker)
         met = self._meet(worker)
-        yield [self._gradient(self._cells.pressure, worker), self._impulses(worker), *met, *pressed]
+        gradient = [
+            self._gradient(self._cells.pressure, worker),
+            *self.viscosity.omit_slivers(worker),
+        ]
+        yield [*gradient, self._impulses(worker), *met, *pressed]
         yield self._respond(worker, pulled=True)
         for turn in range(LAYERS):
             yield [self._spread(worker, turn, self._copy(self._cells.sums, 0))]

@@ -6,7 +6,7 @@ from typing import Any
 import warp as wp
 
 from phy124.kernels.arguments import types
-from phy124.kernels.liquid import pressure, stress, viscous
+from phy124.kernels.liquid import pressure, slivers, stress, viscous
 from phy124.liquid.cells import Cells
 from phy124.liquid.impulses import WallImpulses
 from phy124.liquid.mixture import Mixture
@@ -129,6 +129,16 @@ class Viscosity:
         yield [(STAGE, cells.record(worker, kernel, inputs, [self._excess]))]
         yield [self._anticipate(worker, 1.0)]
 
+    def omit_slivers(self, worker: int) -> list[Recorded]:
+        """Return a worker's launch that leaves the velocities of slivers to the extrapolation."""
+        if self.rate == 0:
+            return []
+        cells, mixture = self._cells, self._mixture
+        inputs = [self.rate, cells.window, self._tracks.clock, mixture.densities]
+        inputs += [mixture.viscosities, cells.open, cells.phi, cells.liquid, cells.also]
+        kernel = slivers.make_slivers(self._model.real)
+        return [(STAGE, cells.record(worker, kernel, inputs, [cells.known]))]
+
     def release(self, worker: int) -> list[Recorded]:
         """Return a worker's launch that improves the pressure solution as the next first guess."""
         if self.rate == 0:
@@ -189,5 +199,5 @@ class Viscosity:
 
 def viscosity_kernels(real: Any) -> Iterator[Any]:
     """Yield the kernels of viscosity."""
-    yield from (make(real) for make in (*MAKERS, *SOLVERS))
+    yield from (make(real) for make in (*MAKERS, *SOLVERS, slivers.make_slivers))
     yield from (stress.relax, viscous.make_release(real), pressure.make_anticipate(real))

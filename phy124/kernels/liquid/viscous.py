@@ -392,6 +392,18 @@ def make_resist(real: Any):
     return resist
 
 
+@wp.func
+def loose_wall(open: wp.array(dtype=Any), states: wp.array(dtype=int), n: int, size: wp.vec3i):
+    """Return whether a cell contains a part of a wall that holds none of the cell's faces."""
+    result = bool(False)
+    for axis in range(3):
+        m = n + stride(axis, size)
+        if item(open, n)[axis] != item(open, m)[axis]:
+            both = item(states, n) | item(states, m)
+            result = result or (both >> axis) & HELD == 0
+    return result
+
+
 @build_once
 def make_bulk(real: Any):
     """Kernel over cells: computes the pressure of the bulk strain that the viscous step leaves.
@@ -427,13 +439,7 @@ def make_bulk(real: Any):
         if n < 0:
             return
         excess = wp.float64(0.0)
-        known = item(liquid, n) == 1
-        for axis in range(3):
-            m = n + stride(axis, window[1])
-            if item(open, n)[axis] != item(open, m)[axis]:
-                both = item(states, n) | item(states, m)
-                known = known and (both >> axis) & HELD > 0
-        if known:
+        if item(liquid, n) == 1 and not loose_wall(open, states, n, window[1]):
             flux = outflow(
                 n, moving, solid, lattice, window, motions, open, covers, distances, owners,
                 velocity,

@@ -1,0 +1,65 @@
+"""Finds slivers between oblique walls and the surface, whose liquid viscosity ties to the rest.
+
+A wall without friction that is oblique to the cells holds no faces, so the viscous step leaves the
+flow into it (viscous.py). The pressure alone then stops this flow, and would throw the light liquid
+in slivers out as jets, which viscosity prevents in reality. The velocities of these faces are
+therefore extrapolated (spread.py). The same applies to freely moving walls.
+"""
+
+from typing import Any
+
+import warp as wp
+
+from phy124.kernels.arguments import Ints, types
+from phy124.kernels.build import build_once, kernel
+from phy124.kernels.items import item
+from phy124.kernels.liquid.faces import entry, stride
+from phy124.kernels.liquid.viscous import filled_face, loose_wall
+
+LIGHT = wp.constant(0.25)
+"""Largest mass of a face in a sliver [full cells]."""
+
+
+@build_once
+def make_slivers(real: Any):
+    """Kernel over cells: removes the bits of faces in slivers from `known_out`.
+
+    A face next to a wall that holds no face is in a sliver if its mass is below `LIGHT`, and below
+    dt eta / (rho dx^2), so that viscosity determines its velocity. `viscosity` is eta / (rho dx^2)
+    [1/s] for a relative density and viscosity of 1.
+    """
+    t = types(real)
+
+    @kernel(f"phy124_liquid_slivers_{real.__name__}", real, seconds=0.3)
+    def slivers(
+        worker: int,
+        active: Ints,
+        ends: Ints,
+        viscosity: real,
+        window,
+        clock,
+        densities: t.vec4s,
+        viscosities: t.vec4s,
+        open: t.vec4s,
+        phi: t.reals,
+        liquid: Ints,
+        states: Ints,
+        known_out: Ints,
+    ):
+        n = entry(active, ends, worker, wp.tid())
+        if n < 0:
+            return
+        known = item(known_out, n)
+        for axis in range(3):
+            share = item(open, n)[axis]
+            if known & (1 << axis) > 0 and share < real(1.0):
+                size = window[1]
+                m = n - stride(axis, size)
+                mass = item(densities, n)[axis] * filled_face(phi, liquid, n, m) * share
+                k = viscosity * clock[0] * item(viscosities, n)[axis]
+                if mass < wp.min(k, real(LIGHT)):
+                    if loose_wall(open, states, n, size) or loose_wall(open, states, m, size):
+                        known -= 1 << axis
+        known_out[n] = known
+
+    return slivers
