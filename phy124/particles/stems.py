@@ -7,7 +7,14 @@ and the second moments of the stem's samples across its axis. The unit of length
 The moments are means in a ball that moves across the direction in which the samples extend
 farthest, until its middle lies on the axis. At the border of a sheet, the ball moves into the
 sheet. Parts of sheets are therefore no stems.
+
+In a cross-section wider than the ball, the ball can stay at the rim. Its ellipse would then extend
+beyond the rim, and into the material behind it that belongs to faces. At such a rim, the samples of
+a voxel lie inside of the ellipse, and there are many samples far outside of it. The majority of the
+voxels nearby decides, since a cross-section of ellipses and faces may have gaps.
 """
+
+from __future__ import annotations
 
 from typing import Any, NamedTuple
 
@@ -34,6 +41,20 @@ WIDEST = 0.7
 """Largest second moment across a stem [voxels^2]."""
 LOOSE = 1.4
 """Factor on the limits above before the balls have reached the axis."""
+DEEP = 0.87
+"""Largest level of the samples of a voxel at a rim (RMS). A point at the level L is L times as far
+from the axis as the outline. Most voxels have 0.70 to 0.81 at rims.
+"""
+FAR = 1.5
+"""Smallest level of samples far outside of an outline."""
+MOST_FAR = 0.15
+"""Largest share of the samples around a stem that may lie far outside of its outline. Captured
+stems have at most 0.11, and rims have at least 0.19.
+"""
+AROUND = 1.2
+"""Radius in which samples around a stem are counted, relative to the radius of the ball."""
+ALIKE = 2
+"""Radius in which the majority of a stem's voxels decides whether they are at a rim [voxels]."""
 THICK = 2
 """Parts of an object in which a voxel is farther than this from the surface have no stems [voxels].
 """
@@ -58,7 +79,7 @@ class _Axes(NamedTuple):
     outline: Array
     """Matrices Q [K,3,3]; a point x with (x - centre) Q (x - centre) = 1 is at the surface."""
 
-    def select(self, which: Array) -> "_Axes":
+    def select(self, which: Array) -> _Axes:
         return _Axes(*(values[which] for values in self))
 
 
@@ -113,9 +134,8 @@ def _find_axes(moments: Array, voxel: Array, reach: float) -> _Axes:
         weight = (1 - (near["v"] / reach) ** 2) ** 2
         shape = len(centre), len(middle)
         sums = scipy.sparse.csr_matrix((weight, (near["i"], near["j"])), shape=shape) @ moments
-        mean = sums[:, 1:4] / sums[:, :1]
-        second = (sums[:, 4:] / sums[:, :1])[:, FULL].reshape(-1, 3, 3)
-        values, axes = np.linalg.eigh(second - mean[:, :, None] * mean[:, None, :])
+        mean, second = _central_moments(sums)
+        values, axes = np.linalg.eigh(second)
         along, shift = axes[:, :, 2], mean - centre
         centre = mean - (shift * along).sum(axis=1)[:, None] * along
         loose = LOOSE if step < STEPS - 1 else 1
@@ -126,7 +146,34 @@ def _find_axes(moments: Array, voxel: Array, reach: float) -> _Axes:
         voxel, centre, values, axes = (each[is_stem] for each in (voxel, centre, values, axes))
     # The outline of an ellipse with semi-axes a and b has the second moments a^2 / 2 and b^2 / 2.
     outline = np.einsum("kia,ka,kja->kij", axes[:, :, :2], 0.5 / values[:, :2], axes[:, :, :2])
-    return _Axes(voxel, centre, outline)
+    stems = _Axes(voxel, centre, outline)
+    return stems.select(~_are_at_rims(stems, moments, tree, reach))
+
+
+def _central_moments(sums: Array) -> tuple[Array, Array]:
+    """Return the means [K,3] and central second moments [K,3,3] from sums over samples [K,10]."""
+    mean = sums[:, 1:4] / sums[:, :1]
+    second = (sums[:, 4:] / sums[:, :1])[:, FULL].reshape(-1, 3, 3)
+    return mean, second - mean[:, :, None] * mean[:, None, :]
+
+
+def _are_at_rims(axes: _Axes, moments: Array, tree: scipy.spatial.KDTree, reach: float) -> Mask:
+    """Return whether each ellipse fits only the rim of a wider cross-section [K]."""
+    mean, second = _central_moments(moments[axes.voxel])
+    arm = mean - axes.centre
+    second += arm[:, :, None] * arm[:, None, :]
+    is_deep = np.einsum("kij,kij->k", axes.outline, second) < DEEP**2
+    near = scipy.spatial.KDTree(axes.centre).sparse_distance_matrix(
+        tree, AROUND * reach, output_type="ndarray"
+    )
+    stem, other = near["i"], near["j"]
+    arm, weight = tree.data[other] - axes.centre[stem], moments[other, 0]
+    is_far = np.einsum("pi,pij,pj->p", arm, axes.outline[stem], arm) > FAR**2
+    around, far = (np.bincount(stem, w, len(mean)) for w in (weight, weight * is_far))
+    is_at_rim = is_deep & (far > MOST_FAR * around)
+    place = scipy.spatial.KDTree(tree.data[axes.voxel])
+    groups = place.query_ball_point(place.data, ALIKE)
+    return np.array([is_at_rim[group].mean() for group in groups]) > 0.5
 
 
 def _fill_voxels(axes: _Axes, place: Array, shape: tuple[int, ...]) -> Cubes:
