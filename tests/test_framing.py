@@ -249,7 +249,7 @@ def test_real_objects_that_sway_fill_the_picture(real_objects, name):
     scene = Scene.named("sway").replaced({"accuracy": "draft", "time.frames": 12})
     file = PlyFile(str(real_objects / f"{name}.splat"), Reading(up="-y"))
     read = capture(file, scene, count=4000)
-    assert not read.notes
+    assert all("volume and mass" in note for note in read.notes), "4,000 are few for a plant"
     clip = Simulation(prepare(read.gaussians, read.scene)).run()
     low, high = extents(clip, scene.view)
     assert 0.85 < (high - low).max() < 1.02, "a few of its Gaussians may be outside"

@@ -26,6 +26,8 @@ class Samples(NamedTuple):
     thickness: Array
     """Twice the shortest standard deviations [N]."""
     opacities: Array
+    lengths: Array
+    """Twice the longest standard deviations [N]."""
 
 
 class Cubes(NamedTuple):

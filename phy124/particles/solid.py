@@ -253,8 +253,9 @@ def _rasterise(gaussians: Gaussians, voxel: float, extent: NDArray) -> _Voxels:
     shape = np.floor(points.max(axis=0)).astype(np.int64) + 1 + _margin(across)
     occupied = np.zeros(shape, bool)
     occupied[tuple(points.astype(np.int32).T)] = True
-    thickness = 2 * gaussians.scales.min(axis=1).astype(np.float64) / voxel
-    samples = Samples(points, owner, shortest_axes(gaussians), thickness, gaussians.opacities)
+    axes, sizes = shortest_axes(gaussians), 2 * gaussians.scales.astype(np.float64) / voxel
+    thickness, lengths = sizes.min(axis=1), sizes.max(axis=1)
+    samples = Samples(points, owner, axes, thickness, gaussians.opacities, lengths)
     return _Voxels(first, voxel, across, samples, gaussians.means, occupied)
 
 

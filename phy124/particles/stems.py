@@ -31,6 +31,10 @@ Mask = NDArray[np.bool_]
 REACHES = (1.75, 2.5)
 """Radii of the balls; the larger ball is used where there is no stem in the smaller ball [voxels].
 """
+BALL = 2.0
+"""Largest length of a ball-like Gaussian, relative to its thickness. Such Gaussians may fill a stem
+instead of covering it, so they determine no ellipses.
+"""
 STEPS = 3
 """Number of balls in which each centre is computed."""
 LONG = 0.5
@@ -87,7 +91,8 @@ def find_stems(region: Mask, border: Mask, samples: Samples) -> tuple[Cubes, Mas
     """Return the material of the border voxels in stems, and the mask of these voxels [X,Y,Z]."""
     voxel = np.asarray(np.ravel_multi_index(tuple(samples.points.astype(int).T), region.shape))
     thick = dilate(~dilate(~region, THICK), THICK)
-    used = (border & ~thick).ravel()[voxel]
+    covers = (samples.lengths > BALL * samples.thickness)[samples.owner]
+    used = (border & ~thick).ravel()[voxel] & covers
     every, moments = _sum_moments(voxel[used], samples, used)
     left, parts = np.arange(len(every)), []
     for reach in REACHES:
