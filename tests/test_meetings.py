@@ -123,6 +123,9 @@ def test_block_hangs_from_a_sticky_block_near_which_it_starts(gap):
     board = block((0.6, 0.6, 0.2), low=(-0.1, -0.1, 0.4 + gap * DX), per=10)
     pairs, pull = [Pair(0, 1, sticky=True)], Gravity(g=(0, 0, -2.0))
     solver = make_bodies([low, board], held=[1], pairs=pairs, forces=[pull])
+    saved = solver.snapshot()
+    solver.advance(0.01)
+    solver.restore(saved)  # As in a liquid, which tries each step first.
     solver.advance(0.5)
     solver.bind(forces=[pull])
     solver.advance(1.0)
@@ -132,6 +135,18 @@ def test_block_hangs_from_a_sticky_block_near_which_it_starts(gap):
     assert force[2] == pytest.approx(-64 * 2.0, rel=0.01)
     sunk = (solver.model.rest - solver.state.x.numpy())[solver.model.particles(0), 2].mean()
     assert sunk == pytest.approx(1000 * 2.0 * 0.4**2 / 3 / DAMPED.E, abs=0.02 * DX)
+
+
+def test_block_hangs_on_while_another_block_is_moved():
+    ceiling = HalfSpace(point=(0, 0, 0.4 + 0.4 * DX), normal=(0, 0, -1), contact="sticky")
+    blocks = [block((0.4, 0.4, 0.4), low=(x, 0, 0)) for x in (0, 1)]
+    solver = make_bodies(blocks, forces=[Gravity(g=(0, 0, -2.0))], boundaries=[ceiling])
+    solver.advance(0.5)
+    solver.carry_nodes(lambda x, v: (x - [0, 0, 0.3], v), 1)
+    solver.advance(1.0)
+    fallen = (solver.model.rest - solver.state.x.numpy())[:, 2]
+    assert fallen[solver.model.particles(1)].min() > 0.3
+    assert fallen[solver.model.particles(0)].max() < 0.5 * DX
 
 
 @pytest.mark.parametrize(("shape", "gap"), [("box", 0.4), ("sphere", 0.0), ("sphere", 0.5)])

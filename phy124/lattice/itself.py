@@ -202,6 +202,7 @@ class Meeting:
     def forget(self) -> None:
         """Remove all pairs of touching points, and determine them again in the next call."""
         self._points, self._away = self._points[:0], True
+        self._space[:] = 0
 
     def _look(self, x: NDArray[np.float64]) -> None:
         self._seen, self._away = x, False
@@ -279,13 +280,13 @@ class Meeting:
         count = len(self._points)
         pairs = {name: array.numpy()[:count].copy() for name, array in self._pairs.items()}
         places = {"seen": self._seen.copy(), "flagged": self._flagged.copy(), "away": self._away}
-        places |= {"reach": self.reach, "space": self._space.copy()}
+        places |= {"reach": self.reach, "space": self._space.copy(), "starts": self._starts}
         return {"points": self._points.copy(), **places, **pairs}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
         """Restore the state from a snapshot."""
         self._seen, self._flagged = (np.array(snapshot[name]) for name in ("seen", "flagged"))
-        self._away, self._starts = bool(snapshot["away"]), False
+        self._away, self._starts = bool(snapshot["away"]), bool(snapshot["starts"])
         self._space = np.array(snapshot["space"])
         self.limit(float(snapshot["reach"]))
         self._fill(np.array(snapshot["points"]), snapshot)

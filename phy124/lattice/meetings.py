@@ -128,11 +128,12 @@ class Meetings(Kept):
         if self.of_pairs:
             self._slack = 0.0
 
-    def forget(self) -> None:
-        """Begin the contact between bodies again, after a body has been moved."""
+    def forget(self, body: int) -> None:
+        """Begin the contact of a body with others again, after the body has been moved."""
         self.way = math.inf
         for meeting in self.of_pairs:
-            meeting.forget()
+            if body in meeting.bodies:
+                meeting.forget()
 
     def restore(self, snapshot: dict[str, Any]) -> None:
         """Restore the state from a snapshot."""

@@ -109,13 +109,15 @@ class Solids(FreeBodies):
     def put(self, index: int, motion: Sequence[Any]) -> None:
         """Set the motion of a solid, as `FreeBodies.put` does, and begin its contact again."""
         super().put(index, motion)
-        self.forget()
-
-    def forget(self) -> None:
-        """Begin the contact with all solids again, after a body or a solid has been moved."""
         for touch in self._touches:
-            touch.force.zero_()
-            touch.space.fill_(-math.inf)
+            if touch.solid == index:
+                touch.forget()
+
+    def forget(self, body: int) -> None:
+        """Begin the contact of a body with all solids again, after the body has been moved."""
+        for touch in self._touches:
+            if touch.body == body:
+                touch.forget()
 
     def stages(self, passed: PassedOn | None) -> list[list[Named]]:
         """Return the launches of a substep that apply, correct and sum the impulses of solids."""
@@ -173,6 +175,7 @@ class _Touch(Kept):
     def __init__(self, solids: Solids, index: int, body: int, tracks: Tracks) -> None:
         model, self._surface = solids._model, solids._surface
         surface, self._mine = self._surface, self._surface.body == body
+        self.solid, self.body = index, body
         t, count, device = types(model.real), surface.count, model.device
         self._near: NDArray[np.int32] = np.zeros(0, np.int32)
         self._list = wp.zeros(count, dtype=int, device=device)
@@ -223,6 +226,11 @@ class _Touch(Kept):
         inputs = [self._list, *points[:2], place, self.force, tracks.clock, nodes.before, nodes.v]
         launch = model.launch(make_account(model.real, nodes.rows), max(1, count), inputs, [sums])
         self._launches.append(cast("wp.Launch", launch))
+
+    def forget(self) -> None:
+        """Begin the contact with all points again."""
+        self.force.zero_()
+        self.space.fill_(-math.inf)
 
     def stage(self, number: int) -> Callable[[], None]:
         """Return a stage of the substep that applies, corrects or sums impulses."""

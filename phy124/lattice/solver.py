@@ -301,7 +301,7 @@ class LatticeSolver(Kept):
     def carry_nodes(
         self, carry: Callable[[NDArray, NDArray], tuple[NDArray, NDArray]], body: int = 0
     ) -> None:
-        """Set positions and velocities of a body's nodes, and begin all contact again.
+        """Set positions and velocities of a body's nodes, and begin its contact again.
 
         `carry` computes the new positions and velocities [N,3] from the current ones.
         """
@@ -314,9 +314,8 @@ class LatticeSolver(Kept):
         nodes.v.assign(v)
         nodes.lagging.assign(v)
         nodes.residue.zero_()
-        self.walls.forget()
-        self.meetings.forget()
-        self.free.forget()
+        for contacts in (self.walls, self.meetings, self.free):
+            contacts.forget(body)
         self.crew.stray.zero_()
         self.limits.look()
         self.clock.expire()

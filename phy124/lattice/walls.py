@@ -242,11 +242,10 @@ class Walls:
         touching = int(gaps[:, deepest].argmin())
         return max(0.0, float(depth[deepest])), int(inside[deepest]), touching
 
-    def forget(self) -> None:
-        """Begin the contact with all walls again, after bodies have been moved."""
+    def forget(self, body: int) -> None:
+        """Begin the contact of a body with all walls again, after the body has been moved."""
         for contact in self._contacts:
-            contact.force.zero_()
-            contact.space.fill_(-math.inf)
+            contact.forget(body)
 
     def contacts(self) -> dict[str, Any]:
         """Return the state of the contact with each wall, keyed by the wall's index."""
@@ -291,7 +290,7 @@ class _Contact(Kept):
         self._model, self._nodes, self._tracks = model, nodes, tracks
         self._part, self._sums = part, sums
         self._division, self._slowest = division, slowest
-        self._slot = tracks.add(part.track(model) or STILL)
+        self._slot, self._body = tracks.add(part.track(model) or STILL), surface.body
         self._shape = t.mat33(*np.ravel(part.geometry(model)))
         self._near: NDArray[np.int32] = np.zeros(0, np.int32)
         self._affected = acts_on(part, model, surface.body)
@@ -323,6 +322,14 @@ class _Contact(Kept):
 
     def look(self) -> None:
         self._measure(self._count)
+
+    def forget(self, body: int) -> None:
+        """Begin the contact with the points of a body again."""
+        force, space = self.force.numpy().copy(), self.space.numpy().copy()
+        mine = self._body == body
+        force[mine], space[mine] = 0, -math.inf
+        self.force.assign(force)
+        self.space.assign(space)
 
     def distances(self) -> NDArray[np.float64]:
         """Return each surface point's distance from the wall [S], m; infinite where no contact is

@@ -189,7 +189,7 @@ class Viscosity:
         return self._launch(kernel, parts, [*inputs, self._projection.sums, z, before], outputs)
 
     def _anticipate(self, worker: int, factor: float) -> Recorded:
-        """Return a launch that adds `factor` times the last pressure's effect to velocities."""
+        """Return a launch that adds `factor` times the last pressure differences to velocities."""
         cells = self._cells
         inputs = [factor, cells.window, cells.open, self._mixture.densities]
         inputs += [cells.phi, cells.liquid, self.carry, cells.pressure]

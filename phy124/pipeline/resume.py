@@ -29,7 +29,7 @@ from phy124.runtime.context import RunContext
 from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
 
-FORMAT = "phy124-pause-14"
+FORMAT = "phy124-pause-15"
 GAUSSIANS = ("means", "quats", "scales", "opacities", "sh")
 OBJECTS = "given.object_id"
 FILE = "file."

@@ -112,7 +112,9 @@ def notes(scene: Scene, model: Model) -> list[str]:
         (wall.kind, thickness_of(wall, model) / model.dx) for wall in scene.boundaries if wall.holds
     ]
     return [
-        f"The {wall.kind}: {wall.what}, and stays there." for wall in find_buried(scene, model)
+        f"The {wall.kind}: {wall.what}, and stays there. If it should start outside, move the wall "
+        "or the object (place, lift)."
+        for wall in find_buried(scene, model)
     ] + [
         f"The {kind} is {thickness:.2g} cells thick: {effect}. Use more cells, or enlarge it."
         for kind, thickness in clamps
