@@ -52,3 +52,10 @@ def test_push_does_not_compute_the_mass_that_a_hand_feels():
     assert PUSH.attach(model, solver.state, solver.tracks)
     with pytest.raises(pytest.fail.Exception):
         GRAB.attach(model, solver.state, solver.tracks)
+
+
+def test_hands_with_equal_targets_are_not_confused():
+    other, lifted = GRAB.model_copy(update={"point": (0.1, 0.1, 0.05)}), GRAB.targets[::-1]
+    moved = [(other.target(), other.model_copy(update={"targets": lifted}).target())]
+    assert not make(fork(), DAMPED, forces=[GRAB, other]).retarget(moved)
+    assert make(fork(), DAMPED, forces=[other]).retarget(moved)

@@ -178,10 +178,12 @@ class LatticeSolver(Kept):
         Each element of `moved` contains the present track and the new track.
         """
         known = self.tracks.tracks
-        if any(old not in known or len(old.keys) != len(new.keys) for old, new in moved):
+        # Equal tracks may belong to different hands or walls.
+        if any(known.count(old) != 1 or len(old.keys) != len(new.keys) for old, new in moved):
             return False
-        for old, new in moved:
-            self.tracks.put(known.index(old), new)
+        slots = [known.index(old) for old, _ in moved]
+        for slot, (_, new) in zip(slots, moved, strict=True):
+            self.tracks.put(slot, new)
         self._sample.launch()
         return True
 
