@@ -29,15 +29,23 @@ EACH = [pytest.param(tag, marks=[pytest.mark.slow] * (tag not in TELLING)) for t
 AVIF = pytest.mark.skipif(not features.check("avif"), reason="this Pillow does not read AVIF")
 
 
-@pytest.fixture(autouse=True)
-def pillow_as_before(monkeypatch):
-    """The decoder sets Pillow's limits for its process, which here is that of all tests."""
+SETTINGS = [
+    (where, name, getattr(where, name))
     for where, name in (
         (Image, "MAX_IMAGE_PIXELS"),
         (PngImagePlugin, "MAX_TEXT_CHUNK"),
         (Image.Exif, "tobytes"),
-    ):
-        monkeypatch.setattr(where, name, getattr(where, name))
+    )
+]
+"""Pillow's settings before any test. The decoder changes them in its process, which here is that of
+all tests.
+"""
+
+
+@pytest.fixture(autouse=True)
+def pillow_as_before(monkeypatch):
+    for where, name, value in SETTINGS:
+        monkeypatch.setattr(where, name, value)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of Pillow, on damage; the decoder's process shows none
         yield
