@@ -31,6 +31,8 @@ FLAGS = [
 DUCK = ROOT / "demo" / "examples" / "duck.png"
 LONG = 300_000
 """Longest wait for a condition [ms]."""
+CUTOUT = "() => document.querySelector('#cutout img')?.getAttribute('src')"
+"""Address of the cut-out object on the page, null without a picture."""
 HAND = "[...document.querySelectorAll('#touch, #touch *')].find((e) => e.hand).hand"
 """The live run of *Touch*, and ..."""
 TOP = f"""(() => {{
@@ -72,8 +74,13 @@ class Visit:
             self.complaints.append(f"request to {url}")
 
     def upload(self, path: Path = DUCK) -> None:
+        """Choose a picture that differs from the present one, and wait until it is cut out."""
+        before = self.cutout()
         self.page.locator("#photo input[type=file]").set_input_files(path)
-        self.page.wait_for_selector("#cutout img[src]")
+        self.page.wait_for_function(f"(before) => ![null, before].includes(({CUTOUT})())", arg=before)
+
+    def cutout(self) -> str | None:
+        return self.page.evaluate(CUTOUT)
 
     def choose(self, *, frames: int, accuracy: str = "draft") -> None:
         self.adjust()
