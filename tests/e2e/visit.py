@@ -77,7 +77,8 @@ class Visit:
         """Choose a picture that differs from the present one, and wait until it is cut out."""
         before = self.cutout()
         self.page.locator("#photo input[type=file]").set_input_files(path)
-        self.page.wait_for_function(f"(before) => ![null, before].includes(({CUTOUT})())", arg=before)
+        differs = f"(before) => ![null, before].includes(({CUTOUT})())"
+        self.page.wait_for_function(differs, arg=before)
 
     def cutout(self) -> str | None:
         return self.page.evaluate(CUTOUT)
