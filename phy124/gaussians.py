@@ -362,10 +362,16 @@ def spread_directions(count: int) -> NDArray[np.float64]:
     return np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=1)
 
 
+def walls_of(frames: Sequence[Frame]) -> tuple[str, ...]:
+    """Return the names of all walls in the frames; walls may be added and removed in a run."""
+    return tuple(dict.fromkeys(name for frame in frames for name in frame.wrenches or ()))
+
+
 def stack_wrenches(frames: Sequence[Frame]) -> NDArray[np.float64]:
-    """Return the wrenches on all walls in all frames [T,W,2,3]."""
-    rows = [[[*wrench] for wrench in (frame.wrenches or {}).values()] for frame in frames]
-    return np.array(rows, np.float64).reshape(len(frames), -1, 2, 3)
+    """Return the wrenches on all walls in all frames [T,W,2,3]; zero on absent walls."""
+    walls, absent = walls_of(frames), np.zeros((2, 3))
+    rows = [[(frame.wrenches or {}).get(wall, absent) for wall in walls] for frame in frames]
+    return np.array(rows, np.float64).reshape(len(frames), len(walls), 2, 3)
 
 
 def of_walls(walls: Sequence[str], wrenches: NDArray) -> dict[str, Wrench]:

@@ -222,6 +222,18 @@ def test_change_to_the_same_scene_keeps_the_balance():
     assert gains[0] == pytest.approx(gains[1], abs=1e-9)
 
 
+def test_walls_of_one_kind_have_separate_wrenches():
+    """A floor is listed before and after a wall of the same kind that nothing touches."""
+    floor = {"kind": "half_space"}
+    far = {**floor, "point": [0, 0, 50.0], "normal": [0, 0, -1]}
+    for boundaries in ([floor, far], [far, floor]):
+        scene = bury(boundaries=boundaries, wrenches=True)
+        run = Simulation(prepare(surface_of_ball(100), scene, RunContext(threads=1)))
+        wrenches = [run.step().wrenches for _ in range(3)][-1]
+        forces = [wrenches[name].force[2] for name in ("half_space", "half_space_2")]
+        assert forces[boundaries.index(floor)] < 0 and forces[boundaries.index(far)] == 0
+
+
 def test_rejected_substep_lists_the_surface_points_again():
     solid = block((0.3,) * 3, low=(0.6, 0.3, 0.3))
     solver = make((6, 6, 6), (0.2, 0.2, 0.2), solid, v=[(0, 0, 0), (-1, 0, 0)])

@@ -241,6 +241,19 @@ def test_toppling_object_is_awake():
     assert left_out(lambda frame: 1e-9 * 0.8**frame, 60) != []
 
 
+@pytest.mark.parametrize("solver", ["mpm", "lattice"])
+def test_new_force_wakes_a_run(solver):
+    still = scene(solver, forces=[], boundaries=[])
+    run = Simulation(prepare(ball(300), still, changes=True))
+    heights = []
+    for index in range(12):
+        if index == 7:
+            run.change(still.replaced({"forces": [GRAVITY]}))
+        heights.append(run.step().gaussians.means[:, 2].mean())
+    assert run.report()["sleep"]["frames"] == 4 and np.ptp(heights[:7]) == 0
+    assert heights[0] - heights[-1] == pytest.approx(9.81 * (5 / 24) ** 2 / 2, rel=0.1)
+
+
 def test_after_a_change_it_must_be_seen_to_rest_again():
     """A force changes during frame 10: that and two more are computed."""
     change = track(Constant(), 9.5 / 24)

@@ -25,6 +25,7 @@ from phy124.gaussians import (
     of_walls,
     rotate_sh,
     stack_wrenches,
+    walls_of,
 )
 from phy124.io.files import replacing
 from phy124.io.opening import obstacle
@@ -164,7 +165,7 @@ class Clip:
             wrenches=stack_wrenches(frames)
             if all(f.wrenches is not None for f in frames)
             else None,
-            walls=tuple(frames[0].wrenches or ()),
+            walls=walls_of(frames),
             object_id=first.object_id,
         )
 

@@ -6,7 +6,7 @@ conserved.
 
 import itertools
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from typing import Any, cast
 
 import numpy as np
@@ -22,6 +22,7 @@ from phy124.kernels.lattice.work import SOLIDS
 from phy124.kernels.launches import put
 from phy124.kernels.work import EXCHANGE, IMPULSE
 from phy124.lattice.clamps import PassedOn, distances_from
+from phy124.lattice.equal import find_equal
 from phy124.lattice.gaps import initial_gaps
 from phy124.lattice.impulses import ContactWork
 from phy124.lattice.surface import Surface
@@ -59,6 +60,8 @@ class Solids(FreeBodies):
         self._sums = wp.zeros(shape, dtype=wp.float64, device=model.device)
         """Sums of the impulses of each solid on each body [F,bodies,16], laid out as for walls."""
         self._impulses: list[wp.array] = []
+        self._planes: list[Hashable] = []
+        """Keys of the flat walls."""
         super().__init__(model, solids)
         self.recovery = 0.0
         """Speed at which points inside a solid are moved out, divided by their depth [1/s]."""
@@ -81,15 +84,23 @@ class Solids(FreeBodies):
         return self._sums.reshape((len(self.all) * self._model.bodies, SUMS))
 
     def bind(self, planes: Sequence[Plane], tracks: Tracks) -> None:
-        """Replace the flat walls that stop the solids; keep the impulses of the last substep.
+        """Replace the flat walls that stop the solids; equal walls keep the impulses of the last
+        substep.
 
         The walls' displacements are added to the tracks.
         """
-        earlier = self._impulses
+        earlier, before = self._impulses, self._planes
         super().bind(planes, tracks)
-        for impulses, kept in zip(self._impulses, earlier, strict=False):
-            if len(impulses) == len(kept):
-                impulses.assign(kept)
+        ends = [np.ravel(plane.geometry(self._model)[:2]).tolist() for plane in planes]
+        kinds = [plane.contact for plane in planes]
+        self._planes = [(*end, kind) for end, kind in zip(ends, kinds, strict=True)]
+        equal = find_equal(before, self._planes)
+        for impulses, kept, solid in zip(self._impulses, earlier, self.all, strict=False):
+            shape = -1, POINTS[solid.shape], 3
+            old, new = kept.numpy().reshape(shape), impulses.numpy().reshape(shape)
+            for i, j in equal:
+                new[j] = old[i]
+            impulses.assign(new.reshape(-1, 3))
 
     def prepare(self, tracks: Tracks, recovery: float) -> None:
         """Prepare the contact with bodies; call after `bind` and after the upload of the tracks.

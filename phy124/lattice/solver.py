@@ -149,19 +149,19 @@ class LatticeSolver(Kept):
         acting = [stage for item in forces for stage in item.attach(model, state, tracks)]
         surface, nodes = self.surface, self.nodes_state
         division = Division(model, self.runner.team)
-        at_rest = self.limits.substep_at_rest
-        walls = Walls(boundaries, model, self.lattice, surface, nodes, tracks, at_rest, division)
+        measures = self.limits.substep_at_rest, division, self.clock.time
+        walls = Walls(boundaries, model, self.lattice, surface, nodes, tracks, *measures)
         sums = [stage for item in accumulators for stage in item.attach(model, state, tracks)]
         self.free.bind(planes, tracks)
         tracks.upload(self.clock.values)
         self.free.prepare(tracks, walls.recovery)
-        kept = (self.meetings.snapshot(), self.walls.contacts()) if self.clock.substeps else None
+        kept = self.meetings.snapshot() if self.clock.substeps else None
         self.meetings = Meetings(
             surface, model, nodes, tracks, self.pairs, walls.recovery, division
         )
         if kept is not None:
-            self.meetings.restore(kept[0])
-            walls.put_contacts(kept[1])
+            self.meetings.restore(kept)
+            walls.continue_from(self.walls)
         self.tracks, self.walls, self._forces, self._sums = tracks, walls, acting, sums
         self._sample = tracks.record()
         self._sample.launch()

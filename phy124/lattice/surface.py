@@ -77,6 +77,13 @@ class Surface:
         compute = partial(_flat_at, self.x, self.normal, self.body, self.dx, KDTree(self.x))
         return Lazy(np.zeros(self.count, bool), compute)
 
+    def place(self, u: NDArray) -> NDArray[np.float64]:
+        """Return the positions of all points [S,3], m.
+
+        `u` [N,3], m, are the displacements of all nodes.
+        """
+        return self.x + (self.weights[:, :, None] * u[self.nodes]).sum(axis=1)
+
     def deform(
         self, points: NDArray[np.int64], u: NDArray
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:

@@ -33,6 +33,7 @@ from phy124.kernels.lattice.rows import SIMD, Rows, rows_for
 from phy124.kernels.lattice.work import WALLS
 from phy124.kernels.launches import put
 from phy124.lattice.clamps import Clamp, PassedOn, acts_on, distances
+from phy124.lattice.equal import find_equal
 from phy124.lattice.gaps import initial_gaps
 from phy124.lattice.impulses import ContactWork, Impulses
 from phy124.lattice.rest import RestLattice
@@ -120,8 +121,11 @@ class Walls:
         tracks: Tracks,
         substep: float,
         division: Division,
+        time: float = 0.0,
     ) -> None:
-        """Prepare the walls of a run; `substep` is the length of a substep at rest [s].
+        """Prepare the walls of a run.
+
+        `substep` is the length of a substep at rest [s]. From `time` [s] on, the walls act.
 
         Raises:
             InputError: A clamp fixes only some directions, which is not possible on lattices.
@@ -153,7 +157,7 @@ class Walls:
                 self._clamps.append(Clamp(part, model, lattice, nodes, tracks, *record))
             elif surface.count:
                 everywhere = model, surface, nodes, tracks, division, slowest
-                self._contacts.append(_Contact(part, *everywhere, sums))
+                self._contacts.append(_Contact(part, *everywhere, sums, time))
         for contact in self._contacts:
             contact.clamped = bool(self._clamps)
 
@@ -247,25 +251,23 @@ class Walls:
         for contact in self._contacts:
             contact.forget(body)
 
-    def contacts(self) -> dict[str, Any]:
-        """Return the state of the contact with each wall, keyed by the wall's index."""
-        return {str(i): contact.snapshot() for i, contact in enumerate(self._contacts)}
-
-    def put_contacts(self, contacts: dict[str, Any]) -> None:
-        """Restore the contact with the walls, unless `contacts` belong to other walls."""
-        if len(contacts) == len(self._contacts):
-            for i, contact in enumerate(self._contacts):
-                contact.restore(contacts[str(i)])
+    def continue_from(self, earlier: "Walls") -> None:
+        """Continue the contact with the walls that are also among `earlier` walls."""
+        keys = ([contact.key for contact in walls._contacts] for walls in (earlier, self))
+        for old, new in find_equal(*keys):
+            self._contacts[new].restore(earlier._contacts[old].snapshot())
 
     def snapshot(self) -> dict[str, Any]:
         """Return a snapshot: the sums and the contact of the walls."""
-        kept = {"sums": wp.clone(self.sums), "contacts": self.contacts()}
+        contacts = {str(i): contact.snapshot() for i, contact in enumerate(self._contacts)}
+        kept = {"sums": wp.clone(self.sums), "contacts": contacts}
         return kept if self.impulses is None else {**kept, "impulses": wp.clone(self.impulses.sums)}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
         """Restore the state from a snapshot."""
         self.sums.assign(snapshot["sums"])
-        self.put_contacts(snapshot["contacts"])
+        for i, contact in enumerate(self._contacts):
+            contact.restore(snapshot["contacts"][str(i)])
         if self.impulses is not None:
             self.impulses.sums.assign(snapshot["impulses"])
 
@@ -285,22 +287,29 @@ class _Contact(Kept):
         division: Division,
         slowest: float,
         sums: wp.array,
+        time: float,
     ) -> None:
         t = types(model.real)
         self._model, self._nodes, self._tracks = model, nodes, tracks
         self._part, self._sums = part, sums
         self._division, self._slowest = division, slowest
         self._slot, self._body = tracks.add(part.track(model) or STILL), surface.body
-        self._shape = t.mat33(*np.ravel(part.geometry(model)))
+        geometry = np.ravel(part.geometry(model)).tolist()
+        self.key = part.outline(), *geometry, part.object, part.response()
+        """Equal walls have equal keys, even if their motions or frictions differ."""
+        self._shape = t.mat33(*geometry)
         self._near: NDArray[np.int32] = np.zeros(0, np.int32)
         self._affected = acts_on(part, model, surface.body)
         self.separates = part.response() == "separate"
         """Whether points may leave the wall."""
         space = np.full(surface.count, -np.inf)
         if not self.separates:
-            start = (part.track(model) or STILL).values(np.zeros(1))[0]
-            far = distances(part, model, surface.x - start)
-            space = initial_gaps(far[:, 3], far[:, :3], surface.normal, model.dx)
+            u = nodes.u.numpy().astype(np.float64)
+            moved = (part.track(model) or STILL).values(np.array([time]))[0]
+            far = distances(part, model, surface.place(u) - moved)
+            near = np.flatnonzero(np.abs(far[:, 3]) < model.dx)
+            normal = surface.deform(near, u)[2]
+            space[near] = initial_gaps(far[near, 3], far[near, :3], normal, model.dx)
         self.space = model.array(space, model.real)
         """Distance from the wall at which contact with each point begins [S], m; -inf before the
         point is first near the wall.

@@ -18,7 +18,7 @@ from phy124.monitor.diagnostics import Diagnostics, Totals
 from phy124.monitor.external_work import MEAN, ExternalWork
 from phy124.monitor.lattice import LatticeContacts, LatticePairs, LatticeTotals, LatticeWatchdog
 from phy124.monitor.observer import Effect, Observed, Observer, Subject
-from phy124.monitor.wrenches import Wrenches, simple_wall_names
+from phy124.monitor.wrenches import Wrenches, simple_wall_names, wall_names
 from phy124.mpm import Attachable, Clock, Grid
 from phy124.scene import Scene
 
@@ -86,7 +86,13 @@ class CoupledWrenches(Wrenches):
         self, walls: Sequence[Boundary], inner: Sequence[Attachable]
     ) -> Sequence[Attachable]:
         """Return the walls, with stages that measure each wall's impulse."""
-        self._parts = simple_wall_names(walls)
+        self._rows: dict[str, list[int]] = {}
+        """Rows of the lattices' sums for each simple wall, and for each boundary with its parts."""
+        of_parts = zip(wall_names(walls), walls, strict=True)
+        boundaries = [name for name, wall in of_parts for _ in wall.parts()]
+        for row, names in enumerate(zip(boundaries, simple_wall_names(walls), strict=True)):
+            for name in dict.fromkeys(names):
+                self._rows.setdefault(name, []).append(row)
         return super().wrap_walls(walls, inner)
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
@@ -102,13 +108,9 @@ class CoupledWrenches(Wrenches):
     def of_wall(self, wall: str, centre: NDArray, fps: float) -> Wrench:
         """Return the mean force and torque on a wall since the start of the frame."""
         force, torque = super().of_wall(wall, centre, fps)
-        rows = self._before - self._now()
-        for name, row in zip(self._parts, rows, strict=True):
-            if name == wall or name.rpartition("_")[0] == wall:
-                impulse, moment = row[:3], row[MOMENT : MOMENT + 3]
-                force = force + fps * impulse
-                torque = torque + fps * (moment - np.cross(centre, impulse))
-        return Wrench(force, torque)
+        row = (self._before - self._now())[self._rows.get(wall, [])].sum(axis=0)
+        impulse, moment = row[:3], row[MOMENT : MOMENT + 3]
+        return Wrench(force + fps * impulse, torque + fps * (moment - np.cross(centre, impulse)))
 
     def _now(self) -> NDArray[np.float64]:
         solver: Any = self._solver

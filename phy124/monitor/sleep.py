@@ -89,8 +89,9 @@ class Sleep(Observer):
         self._solver, self._state, self._clock = solver, solver.state, solver.clock
 
     def change(self, scene: Scene) -> None:
-        """Disable sleep if the stiffness changes in time."""
+        """Observe the rest again; disable sleep if the stiffness changes in time."""
         self._stiffness_changes = scene.stiffness_profile is not None
+        self.anchor, self.drift, self.speeds = None, 0.0, []
 
     def skip_to(self, index: int) -> float | None:
         """Return the time [s] of a frame that needs no substeps, and count the frame; otherwise

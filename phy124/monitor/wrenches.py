@@ -16,7 +16,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from phy124.boundaries import Boundary
-from phy124.gaussians import Frame, Wrench
+from phy124.gaussians import Frame, Wrench, walls_of
 from phy124.kernels import contacts as kernels
 from phy124.kernels.work import make_wall_copy
 from phy124.monitor.measured import NodesNear
@@ -134,9 +134,11 @@ class Wrenches(Observer):
 
     def report(self, frames: Sequence[Frame]) -> dict[str, Any]:
         """Return the sections about wrenches on walls and between objects."""
-        report = {"walls": summary(frames, self.walls) if self._of_walls else None}
+        pairs = pair_names(self._solver)
+        walls = [name for name in walls_of(frames) if name not in pairs]
+        report = {"walls": summary(frames, walls) if self._of_walls else None}
         if self._of_pairs:
-            report["pairs"] = summary(frames, pair_names(self._solver))
+            report["pairs"] = summary(frames, pairs)
         return report
 
     def snapshot(self) -> dict[str, Any]:
@@ -253,12 +255,12 @@ def summary(frames: Sequence[Frame], names: Sequence[str]) -> dict[str, Any] | N
         return None
     rows = {}
     for name in names:
-        last = frames[-1].wrenches[name]
-        forces = [float(np.linalg.norm(f.wrenches[name].force)) for f in frames if f.wrenches]
-        worst = int(np.argmax(forces))
+        acting = [(f.time, f.wrenches[name]) for f in frames if f.wrenches and name in f.wrenches]
+        forces = [float(np.linalg.norm(wrench.force)) for _, wrench in acting]
+        worst, (_, last) = int(np.argmax(forces)), acting[-1]
         rows[name] = {
             "largest_force": forces[worst],
-            "at": frames[worst].time,
+            "at": acting[worst][0],
             "last": {"force": last.force.tolist(), "torque": last.torque.tolist()},
         }
     return rows

@@ -18,18 +18,17 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
 
 from phy124.errors import InputError
-from phy124.gaussians import Frame, Gaussians, of_walls, rotate_sh, stack_wrenches
+from phy124.gaussians import Frame, Gaussians, of_walls, rotate_sh, stack_wrenches, walls_of
 from phy124.io.clip import save_tensors
 from phy124.io.files import replacing
 from phy124.io.growing import MOVING, SHAPES, Growing
 from phy124.io.opening import obstacle
 from phy124.monitor.observer import Observer
-from phy124.monitor.wrenches import Wrenches
 from phy124.runtime.context import RunContext
 from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
 
-FORMAT = "phy124-pause-15"
+FORMAT = "phy124-pause-16"
 GAUSSIANS = ("means", "quats", "scales", "opacities", "sh")
 OBJECTS = "given.object_id"
 FILE = "file."
@@ -65,16 +64,14 @@ def save(
     tensors |= _frames(run) if frames is None else {}
     for name, content in (files or {}).items():
         tensors[FILE + name] = np.frombuffer(content, np.uint8)
-    place, watch = (
-        {"growing": frames.place()} if frames is not None else {},
-        run.setup.context.watch,
-    )
+    place = {} if frames is None else {"growing": frames.place()}
+    walls, watch = walls_of(run.frames), run.setup.context.watch
     facts = {
         "run": _plain(run.snapshot(), tensors, "run"),
         "scene": run.scene.data(),
         "threads": len(run.solver.workers),
         "along": run.setup.along,
-        "frames": {"count": run.count, "keep": run.setup.keep, **place},
+        "frames": {"count": run.count, "keep": run.setup.keep, "walls": walls, **place},
         "crop": run.setup.crop,
         "about": about or {},
         "spent": {"stages": watch.seconds, "total": watch.total},
@@ -126,7 +123,7 @@ def load(
     context.watch.add(metadata["spent"]["stages"], metadata["spent"]["total"])
     run.restore(_whole(metadata["run"], tensors, "run"))
     run.remarks += _threads_differ(metadata["threads"], len(run.solver.workers))
-    _put_frames(run, saved)
+    _put_frames(run, saved, metadata["frames"]["walls"])
     _turn_last(run)
     return run
 
@@ -215,10 +212,8 @@ def _frames(run: Simulation) -> Tensors:
     return tensors
 
 
-def _put_frames(run: Simulation, kept: Tensors) -> None:
+def _put_frames(run: Simulation, kept: Tensors, names: Sequence[str]) -> None:
     walls = kept.get("wrenches")
-    wrenches_of = run.find(Wrenches)
-    names = () if wrenches_of is None else wrenches_of.names
     times = kept["times"].tolist()
     for index, time in enumerate(times):
         shape = {name: kept[name][index] for name in SHAPES if name in kept}
