@@ -1,7 +1,4 @@
-"""Score distillation: its gradient, and the guidance by Zero123 and by ImageDream."""
-
-import json
-from dataclasses import replace
+"""Score distillation: its gradient, and the guidance by Zero123."""
 
 import numpy as np
 import pytest
@@ -10,11 +7,7 @@ from safetensors.torch import save_file
 
 from phy124.errors import InputError
 from phy124.generators.neural.dreamgaussian import zero123
-from phy124.generators.neural.dreamgaussian.generator import WITH_IMAGEDREAM, fit, start
 from phy124.generators.neural.dreamgaussian.guidance import Pose, add_noise, alphas_cumprod, sds
-from phy124.generators.neural.dreamgaussian.multiview import MultiView
-from phy124.generators.neural.imagedream.unet import load_unet
-from reference import formula
 
 
 @pytest.fixture(scope="module")
@@ -101,40 +94,3 @@ def test_zero123_networks_load_from_files(small_zero123, tmp_path, monkeypatch):
     # Full-size networks refuse the small files by name.
     with pytest.raises(InputError, match="differ from the 686 tensors of Zero123's U-Net"):
         zero123.load_trained(tmp_path, "cpu", torch.float32)
-
-
-class SeenParts:
-    """ImageDream's golden networks with made-up encoders."""
-
-    def __init__(self, unet, vae):
-        self.unet, self.vae = unet, vae
-
-    def text(self):
-        return formula.inputs("text", (1, 77, 16), -1, 1)
-
-    def picture(self, image):
-        return formula.inputs("tokens", (1, 257, 1280), -1, 1)
-
-
-def test_imagedream_guidance_pulls_four_views(folder, small_zero123):
-    config = json.loads((folder / "imagedream_unet_tiny.json").read_text())["config"]
-    unet = load_unet(folder / "imagedream_unet_tiny.weights.fp16.safetensors", **config)
-    guidance = MultiView.looking_at(torch.rand(3, 20, 20), SeenParts(unet, small_zero123["vae"]))
-    messages = []
-
-    def told_of(images, *others):
-        images.retain_grad()
-        messages.append((images, guidance(images, *others)))
-        return messages[-1][1]
-
-    told_of.views = guidance.views
-    settings = replace(WITH_IMAGEDREAM, steps=1, points=40, sizes=(16,), final_extent=10)
-    draw = torch.Generator().manual_seed(0)
-    splats = start(settings, draw)
-    before = splats.parameters["xyz"].detach().clone()
-    fit(splats, told_of, settings, draw)
-    assert float((splats.parameters["xyz"] - before).detach().abs().max()) > 1e-3
-    ((images, loss),) = messages
-    per_view = images.grad.abs().sum(dim=(1, 2, 3))
-    assert guidance.views == len(per_view) == 4 and float(per_view.min()) > 0
-    assert bool(loss.isfinite())

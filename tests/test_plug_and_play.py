@@ -136,8 +136,6 @@ def test_results_of_real_generators_fly_alike(tmp_path):
 class Nothing:
     """A guidance without an opinion."""
 
-    views = 1
-
     def __call__(self, images, poses, ratio, draw):
         return 0 * images.sum()
 

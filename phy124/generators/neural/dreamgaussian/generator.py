@@ -31,7 +31,7 @@ from phy124.generators.neural.dreamgaussian.splats import (
     reset_opacity,
 )
 from phy124.generators.neural.precision import torch_device
-from phy124.generators.neural.splatting import orbit_view
+from phy124.generators.neural.splatting import Rendering, orbit_view
 from phy124.generators.ply_file import normalise_size
 from phy124.imaging.u2net import multiply_mask
 from phy124.progress import Progress, silent
@@ -54,9 +54,7 @@ class Settings:
     about 0.9 from the origin.
     """
     known_size: int = 256
-    """Side of the rendering that is compared with the input image [pixels]; 0: there is no
-    comparison.
-    """
+    """Side of the rendering that is compared with the input image [pixels]."""
     rgb_weight: float = 10_000.0
     alpha_weight: float = 1_000.0
     guidance_weight: float = 1.0
@@ -77,20 +75,6 @@ class Settings:
         steps.
         """
         return self.sizes[min((ratio >= 0.3) + (ratio >= 0.6), len(self.sizes) - 1)]
-
-
-WITH_IMAGEDREAM = Settings(
-    radius=2.5,
-    known_size=0,
-    elevations=(-5, 0),
-    rates=Rates(steps=300),
-    density=Density(start=50, every=50),
-)
-"""The settings of DreamGaussian's imagedream.yaml, for the guidance `MultiView`.
-
-The prompt is always empty. With an empty prompt, the original program does not use the diffusion
-model, but phy124 does.
-"""
 
 
 class DreamGaussian:
@@ -133,7 +117,7 @@ class DreamGaussian:
         guidance = (self.guidance or self._zero123)(rgb)
         draw = torch.Generator().manual_seed(seed)
         splats = start(settings, draw, self.device)
-        fit(splats, guidance, settings, draw, known=(rgb, alpha), progress=progress)
+        fit(splats, guidance, settings, draw, (rgb, alpha), progress=progress)
         if not len(splats):
             limit = "no Gaussian remained: all became transparent or too large."
             remedy = "Use more points or steps, or another seed."
@@ -160,8 +144,8 @@ def fit(
     guidance: Guidance,
     settings: Settings,
     draw: torch.Generator,
+    known: tuple[Tensor, Tensor],
     *,
-    known: tuple[Tensor, Tensor] | None = None,
     progress: Progress = silent,
 ) -> None:
     """Optimise Gaussians in place.
@@ -181,11 +165,10 @@ def fit(
         splats.set_step(step)
         ratio = step / settings.steps
         loss = _known_loss(splats, settings, ratio, known)
-        guided, renderings = _guided_loss(splats, guidance, settings, ratio, draw)
+        guided, rendering = _guided_loss(splats, guidance, settings, ratio, draw)
         (loss + settings.guidance_weight * guided).backward()
-        # Only the last rendering of a step is used, as in the original program.
         if view.start <= step <= view.end:
-            pull.add_rendering(renderings[-1])
+            pull.add_rendering(rendering)
         splats.step()
         if view.start <= step <= view.end and step % view.every == 0:
             densify(splats, pull.mean, view, samples)
@@ -197,12 +180,9 @@ def fit(
 
 
 def _known_loss(
-    splats: Splats, settings: Settings, ratio: float, known: tuple[Tensor, Tensor] | None
+    splats: Splats, settings: Settings, ratio: float, known: tuple[Tensor, Tensor]
 ) -> Tensor:
     """Return the weighted difference between a rendering and the input image; the weight grows."""
-    zero = splats.parameters["xyz"].new_zeros(())
-    if known is None or not settings.known_size:
-        return zero
     rgb, alpha = known
     size = settings.known_size
     drawn = splats.render(orbit_view(0, 0, settings.radius, size), rgb.new_ones(3))
@@ -215,22 +195,18 @@ def _known_loss(
 
 def _guided_loss(
     splats: Splats, guidance: Guidance, settings: Settings, ratio: float, draw: torch.Generator
-) -> tuple[Tensor, list]:
+) -> tuple[Tensor, Rendering]:
     low, high = settings.elevations
     elevation = int(torch.randint(low, high + 1, (), generator=draw))
     azimuth = int(torch.randint(-180, 180, (), generator=draw))
     white = bool(torch.rand((), generator=draw) > 0.5)
     like = splats.parameters["xyz"]
     background = like.new_ones(3) if white else like.new_zeros(3)
-    poses, renderings = [], []
-    for i in range(guidance.views):
-        pose = Pose(elevation, azimuth + i * 360 / guidance.views, 0.0)
-        size = settings.guided_size(ratio)
-        view = orbit_view(pose.elevation, pose.azimuth, settings.radius + pose.radius, size)
-        poses.append(pose)
-        renderings.append(splats.render(view, background))
-    images = torch.stack([r.rgb.permute(2, 0, 1) for r in renderings])
-    return guidance(images, poses, ratio, draw).to(like), renderings
+    view = orbit_view(elevation, azimuth, settings.radius, settings.guided_size(ratio))
+    rendering = splats.render(view, background)
+    pose = Pose(elevation, azimuth, 0.0)
+    loss = guidance(rendering.rgb.permute(2, 0, 1)[None], [pose], ratio, draw)
+    return loss.to(like), rendering
 
 
 def frame_cutout(image_rgba: NDArray[np.uint8], size: int = 256) -> NDArray[np.uint8]:

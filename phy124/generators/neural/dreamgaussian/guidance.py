@@ -27,9 +27,7 @@ class Pose(NamedTuple):
 
 
 class Guidance(Protocol):
-    """Computes a loss for `views` images at a time; four views are 90 degrees apart."""
-
-    views: int
+    """Computes a loss for rendered images."""
 
     def __call__(
         self, images: Tensor, poses: Sequence[Pose], ratio: float, draw: torch.Generator

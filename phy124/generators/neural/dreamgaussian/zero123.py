@@ -26,6 +26,8 @@ from phy124.generators.neural.imagedream import encoders
 from phy124.weights.store import require
 
 SIZE = 256
+GUIDANCE = 5.0
+"""Scale of the classifier-free guidance."""
 UNET: dict[str, Any] = {"in_channels": 8, "out_channels": 4, "cross_attention_dim": 768}
 VISION: dict[str, Any] = {
     "hidden_size": 1024,
@@ -42,27 +44,23 @@ VISION: dict[str, Any] = {
 class CameraProjection(nn.Module):
     """Maps image embedding and pose [B,1,772] to the U-Net's context [B,1,768]."""
 
-    def __init__(self, width: int = 768) -> None:
+    def __init__(self) -> None:
         super().__init__()
-        self.proj = nn.Linear(width + 4, width)
+        self.proj = nn.Linear(772, 768)
 
     def forward(self, x: Tensor) -> Tensor:
         """Return the context."""
         return self.proj(x)
 
 
-def pose_embedding(poses: Sequence[Pose], *, stable: bool = False, elevation: float = 0) -> Tensor:
-    """Return relative poses [B,1,4]: elevation, sine and cosine of the azimuth, radius.
-
-    For Stable Zero123, the radius is replaced by the known view's polar angle, from `elevation`
-    [degrees].
-    """
+def pose_embedding(poses: Sequence[Pose]) -> Tensor:
+    """Return relative poses [B,1,4]: elevation, sine and cosine of the azimuth, radius."""
     rows = [
         (
             math.radians(pose.elevation),
             math.sin(math.radians(pose.azimuth)),
             math.cos(math.radians(pose.azimuth)),
-            math.radians(90 + elevation) if stable else pose.radius,
+            pose.radius,
         )
         for pose in poses
     ]
@@ -72,29 +70,10 @@ def pose_embedding(poses: Sequence[Pose], *, stable: bool = False, elevation: fl
 class Zero123:
     """Score distillation by Zero123 for a single input image."""
 
-    views = 1
-
-    def __init__(
-        self,
-        image: Tensor,
-        networks: dict[str, Any],
-        *,
-        guidance: float = 5.0,
-        stable: bool = False,
-        elevation: float = 0.0,
-    ) -> None:
-        """Encode the input image.
-
-        Args:
-            image: The image [3,H,W] over white, 0..1.
-            networks: Networks from `load_trained`.
-            guidance: Scale of the classifier-free guidance.
-            stable: Whether the networks are Stable Zero123.
-            elevation: Elevation of the known view [degrees].
-        """
+    def __init__(self, image: Tensor, networks: dict[str, Any]) -> None:
+        """Encode the input image [3,H,W] over white, 0..1, with networks from `load_trained`."""
         self.unet, self.vae = networks["unet"], networks["vae"]
         self.projection = networks["projection"]
-        self.guidance, self.stable, self.elevation = guidance, stable, elevation
         self.place = next(self.projection.parameters())
         with torch.no_grad():
             pixels = encoders.clip_pixels(image)[None].to(self.place)
@@ -122,7 +101,7 @@ class Zero123:
 
     def _noise(self, latents: Tensor, level: int, poses: Sequence[Pose]) -> Tensor:
         count = len(latents)
-        pose = pose_embedding(poses, stable=self.stable, elevation=self.elevation).to(self.place)
+        pose = pose_embedding(poses).to(self.place)
         context = self.projection(torch.cat([self.embedding.expand(count, -1, -1), pose], dim=-1))
         seen = self.latents.expand(count, -1, -1, -1)
         joined = torch.cat([latents, seen], dim=1)
@@ -133,7 +112,7 @@ class Zero123:
             encoder_hidden_states=torch.cat([context, torch.zeros_like(context)]),
         ).sample
         with_it, without = both.chunk(2)
-        return without + self.guidance * (with_it - without)
+        return without + GUIDANCE * (with_it - without)
 
 
 def unet(path: Path | None = None, **changes: Any) -> UNet2DConditionModel:
