@@ -18,7 +18,6 @@ from phy124.io.clip import Clip
 from phy124.io.flaws import describe_flaws
 from phy124.io.formats import is_file_of_gaussians
 from phy124.io.opening import obstacle
-from phy124.progress import Progress, silent
 
 if TYPE_CHECKING:
     from phy124.imaging.cutout import Cutout
@@ -73,21 +72,15 @@ class LiveOptions:
 class LiveRun:
     """A simulation that does not store its frames, because they might not fit into the memory."""
 
-    def __init__(self, source: Path, options: LiveOptions, *, progress: Progress = silent) -> None:
-        """Check the source and the scene.
-
-        Args:
-            source: A picture or a file of Gaussians.
-            options: Options of the simulation.
-            progress: Function that is called with (stage, steps done, total steps). It may raise
-                Cancelled.
+    def __init__(self, source: Path, options: LiveOptions) -> None:
+        """Check the source, a picture or a file of Gaussians, and the scene.
 
         Raises:
             InputError: The source does not exist, or the scene cannot be used.
         """
         self.scene = options.resolve()
         refuse_unopened(source)
-        self._source, self._options, self._progress = source, options, progress
+        self._source, self._options = source, options
         self._simulation: Simulation | None = None
         self.stopped: str | None = None
         """Reason why the simulation ended early, or None."""
@@ -120,11 +113,11 @@ class LiveRun:
         device = pick_device(self._options.device)
         # This hides the messages that Warp prints during compilation.
         warp.config.log_level = warp.LOG_ERROR
-        made = make_object(self._source, self._options, self.scene, device, self._progress)
+        made = make_object(self._source, self._options, self.scene, device)
         self.scene = made.scene
         # Frames are passed to sinks and not stored, so that memory does not limit the length of the
         # run.
-        context = RunContext(device=device, progress=self._progress)
+        context = RunContext(device=device)
         setup = prepare(made.gaussians, made.scene, context, crop=made.crop, keep=False)
         return Simulation(setup)
 
@@ -186,9 +179,7 @@ def open_clip(path: str | Path) -> Clip:
     return clip
 
 
-def make_object(
-    source: Path, options: LiveOptions, scene: Scene, device: str, progress: Progress
-) -> StaticObject:
+def make_object(source: Path, options: LiveOptions, scene: Scene, device: str) -> StaticObject:
     """Make the Gaussians and the scene for a picture or a file; raise InputError on failure.
 
     Args:
@@ -196,8 +187,6 @@ def make_object(
         options: The generator and its options.
         scene: The scene.
         device: Device on which the generator runs.
-        progress: Function that is called with (stage, steps done, total steps). It may raise
-            Cancelled.
     """
     from phy124.pipeline import make_gaussians
 
@@ -224,7 +213,6 @@ def make_object(
             "%s: %s; about %.0f s", options.generator, effort.words, effort.seconds
         ),
         device=device,
-        progress=progress,
     )
     for sentence in (*made.about["notes"], *made.about["cleaning"]):
         log.warning(sentence)

@@ -25,7 +25,6 @@ from phy124.generators.ply_file import PlyFile, Reading
 from phy124.imaging.cutting import Cutting
 from phy124.io.ply import write_ply
 from phy124.pipeline.capture import capture
-from phy124.progress import silent
 from phy124.scene import Scene
 from phy124.simulation import Simulation, Stopped, prepare
 from support.captures import captured
@@ -161,7 +160,7 @@ def test_doubtful_cutout_is_noted(tmp_path, monkeypatch, caplog):
     )
     monkeypatch.setattr("phy124.generators.GENERATORS", {"relief": lambda: lambda *_, **__: "made"})
     options = LiveOptions(cutting=Cutting(pick="0.2,0.7"))
-    made = make_object(tmp_path / "photo.png", options, Scene(), "cpu", silent)
+    made = make_object(tmp_path / "photo.png", options, Scene(), "cpu")
     assert asked[0]["pick"] == (0.2, 0.7)
     assert made.gaussians == "made"
     note, first, second = caplog.messages

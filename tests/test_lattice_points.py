@@ -12,12 +12,12 @@ from phy124.kernels.lattice.partners import OTHER
 from phy124.lattice.rest import splines
 from phy124.lattice.surface import FLAT, Lazy, _inverses
 from phy124.lattice.tips import _three_in_a_row, points_in_tips, rows_of
-from phy124.particles.lattice import PER_CELL, integration_points, surface_points
+from phy124.particles.lattice import PER_CELL, surface_points
 from phy124.particles.solid import Solid, find_interior
 from phy124.scene import Scene
 from phy124.simulation import prepare
 from phy124.studies.validation.bodies import fill_solid
-from support.lattices import DX, block, lattice_scene, make, rod
+from support.lattices import DX, block, integration_points, lattice_scene, make, rod
 from support.solids import box_of_discs
 
 

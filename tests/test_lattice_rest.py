@@ -3,9 +3,8 @@
 import numpy as np
 
 from phy124.lattice.rest import RestLattice
-from phy124.particles.lattice import integration_points
 from phy124.particles.solid import Solid
-from support.lattices import DX, block
+from support.lattices import DX, block, integration_points
 
 
 def test_ties_extrapolate_linear_motions():

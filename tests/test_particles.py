@@ -160,9 +160,7 @@ def test_fillers_are_the_regular_lattice_inside(rng):
 
 def test_particles_are_gaussians_and_spaced_fillers(rng):
     gaussians = ball(4000, rng)
-    particles = make_particles(
-        gaussians, density=1000, spacing=0.05, binding="particles", material=2
-    )
+    particles = make_particles(gaussians, density=1000, spacing=0.05, binding="particles")
     selected = particles.gaussian >= 0
     assert np.array_equal(np.sort(particles.gaussian[selected]), np.arange(4000))
     assert np.array_equal(particles.x[selected], gaussians.means[particles.gaussian[selected]])
@@ -172,7 +170,6 @@ def test_particles_are_gaussians_and_spaced_fillers(rng):
     assert gaps.min() >= 0.5 * 0.05 - 1e-6
     deep = np.linalg.norm(particles.x - [0.31, -0.17, 0.4], axis=1) < 0.4
     assert np.allclose(particles.volume[deep], 0.05**3, rtol=1e-5)
-    assert (particles.material == 2).all()
 
 
 def test_neighbours_in_memory_are_neighbours_in_space(rng):

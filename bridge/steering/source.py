@@ -104,7 +104,6 @@ def make_live(
 def _object(source: Path, options: SteeredOptions, device: str) -> tuple[Gaussians, Scene, Crop]:
     from phy124.imaging.painted import WHOLE
     from phy124.pipeline.gaussians import at_rest_in
-    from phy124.progress import silent
     from phy124.scene import Scene, parse_changes
 
     changes = parse_changes(options.set)
@@ -116,7 +115,7 @@ def _object(source: Path, options: SteeredOptions, device: str) -> tuple[Gaussia
         gaussians, crop = at_rest_in(clip)
         return gaussians, scene.replaced(changes), crop or WHOLE
     scene = Scene.named(options.scene or "drop").replaced(changes)
-    made = make_object(source, options, scene, device, silent)
+    made = make_object(source, options, scene, device)
     return made.gaussians, made.scene, made.crop
 
 

@@ -79,13 +79,13 @@ def mesh(path: Path, colour: Sequence[float], *, seed: int = 0) -> Gaussians:
     return made
 
 
-def read_mesh(path: Path, *, seed: int = 0) -> Content:
+def read_mesh(path: Path) -> Content:
     """Return the Gaussians of a mesh file, in the axes and the unit of the file.
 
     Raises:
         InputError: If the mesh cannot be read, is too large, or has no surface area.
     """
-    made, about = _cover(path, GREY, OBJECT_COUNT, seed)
+    made, about = _cover(path, GREY, OBJECT_COUNT, seed=0)
     there = rotate_gaussians(made, orientation(*about.axes).T)
     far = float(np.abs(about.centre).max()) > FAR * about.size
     x, y, z = about.centre.tolist()

@@ -70,12 +70,11 @@ def _normalise(embeddings: NDArray) -> NDArray[np.float64]:
 class ClipModel:
     """A CLIP model, which encodes images as embeddings."""
 
-    def __init__(self, model: str = MODEL, *, device: str = "cpu", order: Order = "rgb") -> None:
+    def __init__(self, model: str = MODEL, *, order: Order = "rgb") -> None:
         """Load a CLIP model that is stored on this machine.
 
         Args:
             model: A folder, or the name of a model on huggingface.co that has been downloaded.
-            device: Device on which torch runs the model.
             order: Order of the colour channels in the model's input.
 
         Raises:
@@ -83,7 +82,7 @@ class ClipModel:
         """
         self.name = model
         self.order: Order = order
-        self._network = _load(model).to(device)
+        self._network = _load(model)
         self._size = int(self._network.config.image_size)
 
     def __call__(self, images: Iterable[NDArray]) -> NDArray[np.float64]:
@@ -94,8 +93,7 @@ class ClipModel:
         with torch.inference_mode():
             for image in images:
                 pixels = torch.from_numpy(_pixels(image, self._size, self.order)[None])
-                pixels = pixels.to(self._network.device)
-                rows.append(self._network(pixel_values=pixels).image_embeds[0].double().cpu())
+                rows.append(self._network(pixel_values=pixels).image_embeds[0].double())
         return torch.stack(rows).numpy()
 
 

@@ -143,12 +143,6 @@ def repeat_for_points(values: NDArray | None) -> NDArray | None:
     return None if values is None else np.repeat(values, PER_CELL, axis=0)
 
 
-def integration_points(solid: Solid, dx: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the integration points of all cells [8C,3], m, and their volumes [8C], m^3."""
-    x, volume, *_ = _points_of_pieces(solid, dx, _find_cells(solid, dx))
-    return x, volume
-
-
 class _Cells(NamedTuple):
     place: NDArray[np.int64]
     """Index of each voxel's cell [V,3]."""

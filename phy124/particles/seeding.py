@@ -34,7 +34,6 @@ def make_particles(
     density: float,
     spacing: float,
     binding: str = "lattice",
-    material: int = 0,
 ) -> Particles:
     """Make particles for clean Gaussians in metres (see `clean`, `scale_to_size`).
 
@@ -45,7 +44,6 @@ def make_particles(
         spacing: Distance between particles, m: grid spacing / particles per cell and axis.
         binding: `lattice`: a lattice, denser in thin parts; `particles`: one particle per Gaussian,
             and a lattice in the interior.
-        material: Material index of all particles.
 
     Raises:
         InputError: If a number is not positive, or if the binding is unknown.
@@ -69,7 +67,7 @@ def make_particles(
         x=x,
         volume=_share_volume(x, shape, room),
         density=np.full(len(x), float(density)),
-        material=np.full(len(x), material, np.int32),
+        material=np.zeros(len(x), np.int32),
         gaussian=owner.astype(np.int32),
     )
 

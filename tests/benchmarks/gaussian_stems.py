@@ -14,8 +14,8 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from phy124.particles.lattice import integration_points
 from phy124.particles.solid import find_interior
+from support.lattices import integration_points
 from support.solids import STEM, stem_of_discs
 
 RADII = (0.3, 0.5, 0.8)

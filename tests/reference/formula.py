@@ -11,7 +11,7 @@ import torch
 
 from phy124.generators.neural.lgm.model import Option
 
-TINY = Option((32, 32, 64), (False, True, True), (64, 32), (True, False), 32, 16)
+TINY = Option((32, 32, 64), (False, True, True), (64, 32), (True, False), 32)
 """The network of the golden file lgm_full."""
 
 

@@ -8,7 +8,7 @@ from phy124.lattice.rest import RestLattice, splines
 from phy124.lattice.solver import LatticeSolver
 from phy124.materials import NeoHookean
 from phy124.mpm import Model, State
-from phy124.particles.lattice import PER_CELL, lattice_of
+from phy124.particles.lattice import PER_CELL, _find_cells, _points_of_pieces, lattice_of
 from phy124.particles.solid import Solid
 from phy124.scene import Scene
 from phy124.studies.validation.bodies import fill_solid
@@ -23,6 +23,12 @@ def block(size, low=(0, 0, 0), per=2, dx=DX):
     counts = [round(length * per / dx) for length in size]
     first = np.array([round(x * per / dx) for x in low])
     return Solid(first, dx / per, np.ones(counts, np.float32))
+
+
+def integration_points(solid, dx):
+    """Return the integration points of all cells [8C,3] and their volumes [8C], in float64."""
+    x, volume, *_ = _points_of_pieces(solid, dx, _find_cells(solid, dx))
+    return x, volume
 
 
 def fork(*, prongs=2, thick=1.0, gap=0.4, root=2, long=10, wide=2, low=(0, 0, 0), per=10):

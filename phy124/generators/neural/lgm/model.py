@@ -74,8 +74,6 @@ class Option:
     up_attention: tuple[bool, ...]
     input_size: int = 256
     """Side of each input view [pixels]."""
-    splat_size: int = 64
-    """Side of each map of Gaussians [pixels]; the network returns 4 * splat_size^2 Gaussians."""
 
 
 def _flags(bits: str) -> tuple[bool, ...]:
@@ -87,16 +85,14 @@ _SMALL = Option(_DOWN, _flags("000111"), (1024, 1024, 512, 256), _flags("1110"))
 OPTIONS = {
     "lrm": _SMALL,
     "small": _SMALL,
-    "big": Option(
-        _DOWN, _flags("000111"), (1024, 1024, 512, 256, 128), _flags("11100"), splat_size=128
-    ),
+    "big": Option(_DOWN, _flags("000111"), (1024, 1024, 512, 256, 128), _flags("11100")),
     "tiny": Option((32, 64, 128, 256, 512), _flags("00001"), (512, 256, 128), _flags("100")),
 }
 """The four configurations of the original program; weights are public only for `big`."""
 
 
 class LgmModel(nn.Module):
-    """U-Net and head: map input [B,4,9,H,W] to Gaussians [B,N,14], where N = 4 * splat_size^2.
+    """U-Net and head: map input [B,4,9,H,W] to Gaussians [B,N,14], where N = 65,536 for `big`.
 
     The 14 numbers are position (3 numbers in -1..1, y up, front +z), opacity, scale (3), quaternion
     wxyz (4) and colour (3).
