@@ -121,6 +121,43 @@ def arguments(real: Any, width: int = 0) -> dict[str, Any]:
         "donors": sparse(real),  # for each node: the tied nodes that follow it
         "tied": sparse(real),  # for each tied node: the nodes that it follows (donors)
     }
+    cells_of_liquids = {
+        "worker": int,  # index of the worker that handles the active cells
+        "part": int,  # first part of the list of cells of liquid that this launch handles
+        "region": Box,  # box of cells that a wall may change
+        "wall": int,  # index of a wall
+        "solid": int,  # index of the first wall that moves freely
+        "slots": Ints,  # index of each wall's track
+        "geometries": t.mat33s,  # three vectors that define each wall (distance.py)
+        "frame": Doubles,  # state of a freely moving solid (free/numbers.py); empty for walls
+        "frictions": t.vec2s,  # of each wall: coefficient of friction, and 1 if liquid sticks to it
+        "viscosity": real,  # largest eta / (rho dx^2) [1/s]
+    }
+    fields_of_liquids = {
+        "active": Ints,  # active cells of all workers (liquid/active.py)
+        "ends": Ints,  # first active cell of each worker, and the number of all active cells
+        "listed": Ints,  # cells of liquid (liquid/listed.py)
+        "counts": Ints,  # number of cells in each part of a list
+        "open": t.vec4s,  # open fractions of the low faces of each cell
+        "covers": t.vec3s,  # fractions of the low faces that freely moving solids close
+        "shares": t.vec2s,  # fractions of two B-splines around each cell inside walls
+        "liquid": Ints,  # 1 in cells of liquid
+        "phi": t.reals,  # signed distance from the surface of the liquid [cells]
+        "distances": t.reals,  # distances of points, half a cell apart, from the nearest wall [m]
+        "owners": Ints,  # index of this wall; -1: none
+        "velocity": t.vec4s,  # velocities at the low faces [m/s], and fill of the cell
+        "known": Ints,  # a bit for each low face with a known velocity
+        "states": Ints,  # bits of the low faces in the equation of viscosity (liquid/viscous.py)
+        "motions": wp.array2d(dtype=t.vec3),  # velocity, angular velocity and centre of each wall
+        "densities": t.vec4s,  # relative densities at the low faces and in the cell
+        "viscosities": t.vec4s,  # relative viscosities at the low faces and in the cell
+        "pressure": Doubles,  # p dt / (rho dx) in each cell [m/s]
+        "which": Ints,  # index of the solid whose surface is in the cell; -1: none
+        "jumps": wp.array(dtype=wp.vec3d),  # flux out of the cell per unit velocity of this solid
+        "centres": wp.array(dtype=wp.vec3d),  # centre of mass of each solid [m]
+        "level": t.reals,  # distance of each cell from the surface of a body [cells]
+        "gains": t.vec4s,  # momenta that the faces gain by forces on particles
+    }
     state = {
         "x": t.vec3s,  # positions of the particles [m]
         "residue": t.vec3s,  # rounding errors of the positions [m], for compensated sums
@@ -163,10 +200,12 @@ def arguments(real: Any, width: int = 0) -> dict[str, Any]:
         "maxima": t.reals,  # measured maxima
         "stray": Ints,  # number of particles or points with non-finite values
     }
+    changing = {**state, **fields_of_liquids}
     return {
         **model,
         **gaussians,
         **bodies_on_lattices,
-        **state,
-        **{f"{name}_out": kind for name, kind in state.items()},
+        **cells_of_liquids,
+        **changing,
+        **{f"{name}_out": kind for name, kind in changing.items()},
     }

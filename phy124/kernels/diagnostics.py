@@ -89,7 +89,7 @@ def make_totals(law: Law, real: Any, on_lattice: bool = False):
         history,
         sums_out,
         range_out: Doubles,
-        counts_out: Ints,
+        counts_out,
         first_out: Ints,
     ):
         sums = all_sums()

@@ -4,7 +4,7 @@ from typing import Any
 
 import warp as wp
 
-from phy124.kernels.arguments import Doubles, Ints
+from phy124.kernels.arguments import Doubles
 from phy124.kernels.build import build_once, kernel
 from phy124.kernels.diagnostics import wide
 from phy124.kernels.free.numbers import (
@@ -109,7 +109,7 @@ def make_walls(drifts: bool, real: Any):
         points: int,
         planes: wp.array2d(dtype=wp.vec3d),
         frictions: Doubles,
-        slots: Ints,
+        slots,
         clock,
         values,
         rates,

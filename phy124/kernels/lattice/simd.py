@@ -176,7 +176,7 @@ def make_totals_simd(law: Law):
         v,
         sums_out,
         range_out: Doubles,
-        counts_out: Ints,
+        counts_out,
         first_out: Ints,
     ):
         """Sum the energy and the power of the points of sixteen cells."""

@@ -8,7 +8,7 @@ from typing import Any
 
 import warp as wp
 
-from phy124.kernels.arguments import Ints, types
+from phy124.kernels.arguments import Ints
 from phy124.kernels.build import build_once, kernel
 from phy124.kernels.items import item
 from phy124.kernels.liquid.faces import cell_at, entry, inner, local
@@ -79,19 +79,18 @@ def make_count_active(real: Any):
 
     Cells whose B-spline lies inside walls are counted only if `all` is set.
     """
-    t = types(real)
 
     @kernel(f"phy124_liquid_count_active_{real.__name__}", real, seconds=0.2)
     def count_active(
-        part: int,
+        part,
         all: int,
         window,
-        shares: t.vec2s,
+        shares,
         below: Ints,
         above: Ints,
         begins_out: Ints,
-        ends_out: Ints,
-        counts_out: Ints,
+        ends_out,
+        counts_out,
     ):
         p = part + wp.tid()
         size = window[1]
@@ -123,19 +122,10 @@ def make_count_active(real: Any):
 @build_once
 def make_list_active(real: Any):
     """Kernel over groups of columns: lists the active cells, and divides them among the workers."""
-    t = types(real)
 
     @kernel(f"phy124_liquid_list_active_{real.__name__}", real, seconds=0.2)
     def list_active(
-        part: int,
-        all: int,
-        window,
-        shares: t.vec2s,
-        begins: Ints,
-        ends: Ints,
-        counts: Ints,
-        active_out: Ints,
-        shares_out: Ints,
+        part, all: int, window, shares, begins: Ints, ends, counts, active_out, shares_out: Ints
     ):
         p = part + wp.tid()
         size = window[1]
@@ -163,18 +153,9 @@ def make_list_active(real: Any):
 @build_once
 def make_forget(real: Any):
     """Kernel over cells: resets the cells that were active in the previous step."""
-    t = types(real)
 
     @kernel(f"phy124_liquid_forget_{real.__name__}", real, seconds=0.2)
-    def forget(
-        worker: int,
-        active: Ints,
-        ends: Ints,
-        phi_out: t.reals,
-        known_out: Ints,
-        also_out: Ints,
-        liquid_out: Ints,
-    ):
+    def forget(worker, active, ends, phi_out, known_out, also_out: Ints, liquid_out):
         n = entry(active, ends, worker, wp.tid())
         if n < 0:
             return

@@ -9,12 +9,11 @@ from typing import Any
 
 import warp as wp
 
-from phy124.kernels.arguments import Box, Doubles, Ints, types
+from phy124.kernels.arguments import Doubles, types
 from phy124.kernels.build import build_once, kernel
 from phy124.kernels.diagnostics import wide
 from phy124.kernels.liquid.faces import cell_at, cell_of, entry, inner, local, number, stride
 from phy124.kernels.liquid.impulses import Sums, take_row
-from phy124.kernels.liquid.listed import Vectors
 from phy124.kernels.liquid.shapes import spline
 from phy124.kernels.liquid.solids import put_motion
 from phy124.kernels.liquid.walls import centre_of
@@ -87,20 +86,20 @@ def make_yield(real: Any):
 
     @kernel(f"phy124_liquid_yield_{real.__name__}", real, seconds=0.4)
     def surface_yield(
-        worker: int,
-        active: Ints,
-        ends: Ints,
+        worker,
+        active,
+        ends,
         free: int,
         scale: wp.float64,
         lattice,
         window,
         clock,
         stiffness: Doubles,
-        which: Ints,
-        jumps: Vectors,
+        which,
+        jumps,
         sheet: t.vec4s,
         present: Motions,
-        centres: Vectors,
+        centres,
         x_guess: Doubles,
         diagonal_out: Doubles,
         right_out: Doubles,
@@ -137,17 +136,16 @@ def make_answer(real: Any):
 
     `impulses_out` contains the impulse on each solid or body, and its moment about the origin.
     """
-    t = types(real)
 
     @kernel(f"phy124_liquid_answer_{real.__name__}", real, seconds=0.3)
     def answer(
-        wall: int,
+        wall,
         scale: wp.float64,
         plans: Motions,
-        centres: Vectors,
+        centres,
         mobility: wp.array2d(dtype=wp.float64),
         sums_out: Sums,
-        motions_out: wp.array2d(dtype=t.vec3),
+        motions_out,
         impulses_out: Motions,
     ):
         solid = wp.tid()
@@ -177,9 +175,7 @@ def make_body_change(real: Any):
     t = types(real)
 
     @kernel(f"phy124_liquid_body_change_{real.__name__}", real, seconds=0.3)
-    def body_change(
-        window, region: Box, sheet: t.vec4s, pressed: t.vec3s, jumps: Vectors, change_out: t.vec3s
-    ):
+    def body_change(window, region, sheet: t.vec4s, pressed: t.vec3s, jumps, change_out: t.vec3s):
         cell = cell_of(wp.tid(), region[1]) + region[0]
         size = window[1]
         if not inner(cell, size, 1):

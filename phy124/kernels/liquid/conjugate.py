@@ -11,7 +11,7 @@ import warp as wp
 
 from phy124.kernels.arguments import Doubles, Ints
 from phy124.kernels.build import build_once, kernel
-from phy124.kernels.liquid.listed import Table, Vectors, count_of, share, total
+from phy124.kernels.liquid.listed import Table, Vectors, count_of, quotient, share, total
 from phy124.kernels.liquid.rigid import add_rigid, clear_rigid, respond, rigid_flux
 from phy124.kernels.native import code, constants, native_func
 
@@ -278,10 +278,7 @@ def make_advance(form: str):
         span = share(count_of(counts), p, counts.shape[0])
         beta = wp.float64(0.0)
         if begun > 0:
-            previous = total(sums_out, 1 - turn)
-            # The sum is 0 if the solution is exact; a GPU continues until the next check.
-            if previous > wp.float64(0.0):
-                beta = total(sums_out, turn) / previous
+            beta = quotient(sums_out, turn, total(sums_out, 1 - turn))
         clear_rigid(sums_out, solids, p)
         sums_out[STEEP, p] = turn_in(
             span[0],
@@ -345,9 +342,7 @@ def make_improve(form: str):
                 if which[n] >= 0:
                     flux = rigid_flux(n, p, which[n], jumps, turns, responses_out)
                     product_out[n] = product_out[n] + flux
-        alpha = wp.float64(0.0)
-        if steep > wp.float64(0.0):
-            alpha = total(sums_out, turn) / steep
+        alpha = quotient(sums_out, turn, steep)
         largest = wp.float64(0.0)
         product = wp.float64(0.0)
         if span[1] > span[0]:

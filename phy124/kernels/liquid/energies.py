@@ -10,7 +10,7 @@ from typing import Any
 
 import warp as wp
 
-from phy124.kernels.arguments import Ints, types
+from phy124.kernels.arguments import types
 from phy124.kernels.build import build_once, kernel
 from phy124.kernels.diagnostics import kinetic_energy, wide
 from phy124.kernels.liquid.faces import cell_of, entry, inner, stride, sums
@@ -32,10 +32,9 @@ COUNT = 9
 @build_once
 def make_keep(real: Any):
     """Kernel over cells: copies the velocities to another array."""
-    t = types(real)
 
     @kernel(f"phy124_liquid_keep_{real.__name__}", real)
-    def keep(worker: int, active: Ints, ends: Ints, velocity: t.vec4s, velocity_out: t.vec4s):
+    def keep(worker, active, ends, velocity, velocity_out):
         n = entry(active, ends, worker, wp.tid())
         if n >= 0:
             velocity_out[n] = velocity[n]
@@ -104,20 +103,20 @@ def make_face_work(real: Any):
 
     @kernel(f"phy124_liquid_face_work_{real.__name__}", real, seconds=0.3)
     def face_work(
-        worker: int,
-        active: Ints,
-        ends: Ints,
-        viscosity: real,
+        worker,
+        active,
+        ends,
+        viscosity,
         window,
         clock,
         values,
-        open: t.vec4s,
-        liquid: Ints,
-        known: Ints,
+        open,
+        liquid,
+        known,
         cells: wp.array(dtype=vec8),
-        gains: t.vec4s,
+        gains,
         before: t.vec4s,
-        velocity: t.vec4s,
+        velocity,
         after: t.vec4s,
         sums_out,
     ):
@@ -162,16 +161,9 @@ def make_wall_work(real: Any):
     `at` is the index of the sum computed with the walls' velocities; the next sum is computed with
     the liquid's velocities.
     """
-    t = types(real)
 
     @kernel(f"phy124_liquid_wall_work_{real.__name__}", real)
-    def wall_work(
-        at: int,
-        count: int,
-        motions: wp.array2d(dtype=t.vec3),
-        impulses: wp.array2d(dtype=wp.float64),
-        sums_out,
-    ):
+    def wall_work(at: int, count: int, motions, impulses: wp.array2d(dtype=wp.float64), sums_out):
         for wall in range(count):
             J = wp.vec3d(impulses[wall, 0], impulses[wall, 1], impulses[wall, 2])
             sums_out[at] = sums_out[at] + wp.dot(J, wide(motions[wall, 0]))

@@ -97,9 +97,7 @@ def make_sum_copies(real: Any, width: int):
     vector = wp.types.vector(width, real)
 
     @kernel(f"phy124_liquid_sum_copies_{width}_{real.__name__}", real, seconds=0.2)
-    def sum_copies(
-        worker: int, active: Ints, ends: Ints, count, copies: int, cells_out: wp.array(dtype=vector)
-    ):
+    def sum_copies(worker, active, ends, count, copies: int, cells_out: wp.array(dtype=vector)):
         n = entry(active, ends, worker, wp.tid())
         if n < 0:
             return

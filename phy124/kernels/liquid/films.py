@@ -9,7 +9,7 @@ from typing import Any
 
 import warp as wp
 
-from phy124.kernels.arguments import Box, Doubles, Ints, types
+from phy124.kernels.arguments import Doubles, types
 from phy124.kernels.build import build_once, kernel
 from phy124.kernels.diagnostics import wide
 from phy124.kernels.liquid.active import EMPTY
@@ -31,9 +31,7 @@ def make_contact(real: Any):
     t = types(real)
 
     @kernel(f"phy124_liquid_contact_{real.__name__}", real, seconds=0.2)
-    def contact(
-        window, region: Box, level: t.reals, still: t.vec4s, open: t.vec4s, contact_out: t.vec3s
-    ):
+    def contact(window, region, level, still: t.vec4s, open, contact_out: t.vec3s):
         cell = cell_of(wp.tid(), region[1]) + region[0]
         size = window[1]
         if not inner(cell, size, 2):
@@ -64,11 +62,11 @@ def make_layers(real: Any):
     def layers(
         up: t.vec3,
         low: real,
-        region: Box,
+        region,
         lattice,
         window,
-        densities: t.vec4s,
-        liquid: Ints,
+        densities,
+        liquid,
         layers_out: wp.array(dtype=wp.vec2d),
     ):
         cell = cell_of(wp.tid(), region[1]) + region[0]
@@ -116,17 +114,17 @@ def make_head(real: Any):
 
     @kernel(f"phy124_liquid_head_{real.__name__}", real, seconds=0.2)
     def head(
-        solid: int,
+        solid,
         low: real,
         heads: t.reals,
-        region: Box,
+        region,
         lattice,
         window,
         clock,
         values,
-        which: Ints,
-        liquid: Ints,
-        jumps: Vectors,
+        which,
+        liquid,
+        jumps,
         x_guess: Doubles,
         contact: t.vec3s,
         rows_out: Vectors,
@@ -190,22 +188,22 @@ def make_film(real: Any):
 
     @kernel(f"phy124_liquid_film_{real.__name__}", real, seconds=0.3)
     def film(
-        solid: int,
+        solid,
         rims: Vectors,
         scale: real,
         low: real,
         heads: t.reals,
-        region: Box,
+        region,
         lattice,
         window,
         clock,
         values,
-        which: Ints,
-        liquid: Ints,
-        jumps: Vectors,
+        which,
+        liquid,
+        jumps,
         x_guess: Doubles,
         fixed: t.reals,
-        owners: Ints,
+        owners,
         contact: t.vec3s,
         pressed_out: t.vec3s,
         sums_out: wp.array2d(dtype=wp.float64),

@@ -9,7 +9,7 @@ from typing import Any
 
 import warp as wp
 
-from phy124.kernels.arguments import Doubles, Ints, types
+from phy124.kernels.arguments import types
 from phy124.kernels.build import build_once, kernel
 from phy124.kernels.liquid.faces import cell_at, cell_of, inner, local, number, stride
 from phy124.kernels.liquid.listed import count_of, share
@@ -112,7 +112,7 @@ def make_gains(real: Any):
     t = types(real)
 
     @kernel(f"phy124_liquid_gains_{real.__name__}", real, seconds=0.3)
-    def liquid_gains(mass, lattice, window, x, v, v_kept: t.vec3s, gains_out: t.vec4s):
+    def liquid_gains(mass, lattice, window, x, v, v_kept: t.vec3s, gains_out):
         p = wp.tid()
         half = real(0.5)
         s = local(x[p], lattice, window) - wp.vector(half, half, half)
@@ -146,24 +146,24 @@ def make_wall_impulses(real: Any):
 
     @kernel(f"phy124_liquid_impulses_{real.__name__}", real, seconds=0.4)
     def wall_impulses(
-        part: int,
+        part,
         density: real,
-        counts: Ints,
-        listed: Ints,
+        counts,
+        listed,
         lattice,
         window,
         clock,
         values,
-        motions: wp.array2d(dtype=t.vec3),
-        open: t.vec4s,
-        covers: t.vec3s,
-        distances: t.reals,
-        owners: Ints,
-        densities: t.vec4s,
-        phi: t.reals,
-        pressure: Doubles,
-        gains: t.vec4s,
-        solid: int,
+        motions,
+        open,
+        covers,
+        distances,
+        owners,
+        densities,
+        phi,
+        pressure,
+        gains,
+        solid,
         bodies: int,
         sums_out: wp.array2d(dtype=wp.float64),
         pressed_out: t.vec3s,

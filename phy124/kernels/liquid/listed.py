@@ -32,6 +32,18 @@ def total(sums: Table, row: int):
 
 
 @wp.func
+def quotient(sums: Table, row: int, divisor: wp.float64):
+    """Return the sum of a row (`total`) divided by a number, or 0 if the number is 0.
+
+    The divisor is 0 if the solution is exact; a GPU continues until the next check.
+    """
+    result = wp.float64(0.0)
+    if divisor > wp.float64(0.0):
+        result = total(sums, row) / divisor
+    return result
+
+
+@wp.func
 def count_of(counts: Ints):
     """Return the number of cells of liquid in the list."""
     result = int(0)

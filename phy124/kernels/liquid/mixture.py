@@ -9,7 +9,7 @@ from typing import Any
 
 import warp as wp
 
-from phy124.kernels.arguments import Doubles, Ints, types
+from phy124.kernels.arguments import Doubles, types
 from phy124.kernels.build import kernel
 from phy124.kernels.diagnostics import wide
 from phy124.kernels.items import item
@@ -44,9 +44,9 @@ def make_mix(real: Any):
 
     @kernel(f"phy124_liquid_mix_{real.__name__}", real, seconds=0.2)
     def mix(
-        worker: int,
-        active: Ints,
-        ends: Ints,
+        worker,
+        active,
+        ends,
         window,
         fills: t.vec2s,
         cells: wp.array(dtype=vec8),
@@ -93,15 +93,15 @@ def make_meeting(real: Any):
 
     @kernel(f"phy124_liquid_meeting_{real.__name__}", real, seconds=0.2)
     def meeting(
-        worker: int,
-        active: Ints,
-        ends: Ints,
+        worker,
+        active,
+        ends,
         density: real,
         lattice,
         window,
-        open: t.vec4s,
-        liquid: Ints,
-        pressure: Doubles,
+        open,
+        liquid,
+        pressure,
         first: t.vec4s,
         second: t.vec4s,
         sums_out: Doubles,

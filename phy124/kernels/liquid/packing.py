@@ -10,7 +10,7 @@ from typing import Any
 
 import warp as wp
 
-from phy124.kernels.arguments import Doubles, Ints, types
+from phy124.kernels.arguments import Doubles, types
 from phy124.kernels.build import build_once, kernel
 from phy124.kernels.items import item
 from phy124.kernels.liquid.faces import cell_of, entry, inner, stride
@@ -50,15 +50,15 @@ def make_excess(real: Any):
 
     @kernel(f"phy124_liquid_excess_{real.__name__}", real, seconds=0.4)
     def excess(
-        worker: int,
-        active: Ints,
-        ends: Ints,
+        worker,
+        active,
+        ends,
         window,
-        open: t.vec4s,
-        shares: t.vec2s,
+        open,
+        shares,
         hats: t.reals,
-        phi: t.reals,
-        liquid: Ints,
+        phi,
+        liquid,
         right_out: Doubles,
         x_out: Doubles,
     ):

@@ -11,7 +11,7 @@ from typing import Any
 
 import warp as wp
 
-from phy124.kernels.arguments import Doubles, Ints, types
+from phy124.kernels.arguments import Doubles, types
 from phy124.kernels.build import build_once, kernel
 from phy124.kernels.items import item
 from phy124.kernels.liquid.faces import cell_of, entry, inner, stride
@@ -41,18 +41,17 @@ def make_assemble(real: Any):
     `diagonal_out` is zero in cells without liquid. `links_out` couples each cell to the next cell
     along each axis.
     """
-    t = types(real)
 
     @kernel(f"phy124_liquid_assemble_{real.__name__}", real, seconds=0.4)
     def assemble(
-        worker: int,
-        active: Ints,
-        ends: Ints,
+        worker,
+        active,
+        ends,
         window,
-        open: t.vec4s,
-        densities: t.vec4s,
-        phi: t.reals,
-        liquid: Ints,
+        open,
+        densities,
+        phi,
+        liquid,
         diagonal_out: Doubles,
         links_out: wp.array(dtype=wp.vec3d),
         inverse_out: Doubles,
@@ -137,25 +136,24 @@ def make_divergence(real: Any):
     `solid` is the index of the first wall that is a solid. The last solution, multiplied by
     `carry`, is the first guess of the next solution.
     """
-    t = types(real)
 
     @kernel(f"phy124_liquid_divergence_{real.__name__}", real, seconds=0.3)
     def divergence(
-        worker: int,
-        active: Ints,
-        ends: Ints,
+        worker,
+        active,
+        ends,
         moving: int,
-        solid: int,
+        solid,
         lattice,
         window,
-        motions: wp.array2d(dtype=t.vec3),
-        open: t.vec4s,
-        covers: t.vec3s,
-        distances: t.reals,
-        owners: Ints,
-        liquid: Ints,
+        motions,
+        open,
+        covers,
+        distances,
+        owners,
+        liquid,
         carry: Doubles,
-        velocity: t.vec4s,
+        velocity,
         right_out: Doubles,
         x_out: Doubles,
     ):
@@ -201,22 +199,21 @@ def make_anticipate(real: Any):
     Viscosity then acts on velocities that include the pressure, as in a steady flow (incremental
     projection, Goda 1979). The differences are subtracted again before the next solution.
     """
-    t = types(real)
 
     @kernel(f"phy124_liquid_anticipate_{real.__name__}", real, seconds=0.4)
     def anticipate(
-        worker: int,
-        active: Ints,
-        ends: Ints,
+        worker,
+        active,
+        ends,
         factor: real,
         window,
-        open: t.vec4s,
-        densities: t.vec4s,
-        phi: t.reals,
-        liquid: Ints,
+        open,
+        densities,
+        phi,
+        liquid,
         carry: Doubles,
-        pressure: Doubles,
-        velocity_out: t.vec4s,
+        pressure,
+        velocity_out,
     ):
         n = entry(active, ends, worker, wp.tid())
         if n < 0:
@@ -246,19 +243,19 @@ def make_gradient(real: Any):
 
     @kernel(f"phy124_liquid_gradient_{real.__name__}", real, seconds=0.4)
     def gradient(
-        worker: int,
-        active: Ints,
-        ends: Ints,
+        worker,
+        active,
+        ends,
         shifts: real,
         lattice,
         window,
-        open: t.vec4s,
-        densities: t.vec4s,
-        phi: t.reals,
-        liquid: Ints,
-        pressure: Doubles,
-        velocity_out: t.vec4s,
-        known_out: Ints,
+        open,
+        densities,
+        phi,
+        liquid,
+        pressure,
+        velocity_out,
+        known_out,
     ):
         n = entry(active, ends, worker, wp.tid())
         if n < 0:

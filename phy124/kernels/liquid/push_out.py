@@ -4,7 +4,7 @@ from typing import Any
 
 import warp as wp
 
-from phy124.kernels.arguments import Doubles, Ints, types
+from phy124.kernels.arguments import Ints, types
 from phy124.kernels.build import build_once, kernel
 from phy124.kernels.distance import SHAPES
 from phy124.kernels.liquid.faces import cell_at, inner, local
@@ -50,9 +50,9 @@ def make_push_out(shape: str, real: Any):
     def push_out(
         stops: int,
         walls: Ints,
-        geometries: t.mat33s,
-        slots: Ints,
-        frictions: t.vec2s,
+        geometries,
+        slots,
+        frictions,
         mass,
         lattice,
         window,
@@ -60,9 +60,9 @@ def make_push_out(shape: str, real: Any):
         clock,
         tracks: wp.array(dtype=t.vec4),
         C,
-        motions: wp.array2d(dtype=t.vec3),
-        frame: Doubles,
-        distances: t.reals,
+        motions,
+        frame,
+        distances,
         x_out,
         v_out,
         sums_out: wp.array2d(dtype=wp.float64),

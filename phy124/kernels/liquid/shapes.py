@@ -9,7 +9,7 @@ from typing import Any
 
 import warp as wp
 
-from phy124.kernels.arguments import Box, Doubles, Ints, types
+from phy124.kernels.arguments import Doubles, types
 from phy124.kernels.build import build_once, kernel
 from phy124.kernels.liquid.active import EMPTY
 from phy124.kernels.liquid.faces import cell_at, cell_of, inner, local, number, stride
@@ -149,14 +149,7 @@ def make_body_level(real: Any):
 
     @kernel(f"phy124_liquid_body_level_{real.__name__}", real, seconds=0.3)
     def body_level(
-        shift: real,
-        lattice,
-        window,
-        region: Box,
-        full: t.reals,
-        shares: t.vec2s,
-        level_out: t.reals,
-        volumes_out: Doubles,
+        shift: real, lattice, window, region, full: t.reals, shares, level_out, volumes_out: Doubles
     ):
         cell = cell_of(wp.tid(), region[1]) + region[0]
         size = window[1]
@@ -203,7 +196,7 @@ def make_body_volume(real: Any):
     t = types(real)
 
     @kernel(f"phy124_liquid_body_volume_{real.__name__}", real, seconds=0.3)
-    def body_volume(window, region: Box, level: t.reals, vacant: t.reals, volumes_out: Doubles):
+    def body_volume(window, region, level, vacant: t.reals, volumes_out: Doubles):
         cell = cell_of(wp.tid(), region[1]) + region[0]
         size = window[1]
         if not inner(cell, size, 2):
@@ -233,18 +226,9 @@ def make_body_volume(real: Any):
 @build_once
 def make_body_distance(real: Any):
     """Kernel over points at half the grid spacing: updates the distance to the nearest body."""
-    t = types(real)
 
     @kernel(f"phy124_liquid_body_distance_{real.__name__}", real, seconds=0.3)
-    def body_distance(
-        wall: int,
-        lattice,
-        window,
-        region: Box,
-        level: t.reals,
-        distances_out: t.reals,
-        owners_out: Ints,
-    ):
+    def body_distance(wall, lattice, window, region, level, distances_out, owners_out):
         at = cell_of(wp.tid(), halves(region[1])) + 2 * region[0]
         if not inner(at, halves(window[1]), 0):
             return
@@ -268,7 +252,7 @@ def make_body_openings(real: Any):
     t = types(real)
 
     @kernel(f"phy124_liquid_body_openings_{real.__name__}", real, seconds=0.5)
-    def body_openings(window, region: Box, level: t.reals, open_out: t.vec4s, vacant_out: t.reals):
+    def body_openings(window, region, level, open_out, vacant_out: t.reals):
         cell = cell_of(wp.tid(), region[1]) + region[0]
         size = window[1]
         if not inner(cell, size, 2):
@@ -317,7 +301,7 @@ def make_body_push_out(real: Any):
     t = types(real)
 
     @kernel(f"phy124_liquid_body_push_out_{real.__name__}", real, seconds=0.4)
-    def body_push_out(wall: int, lattice, window, distances: t.reals, owners: Ints, x_out):
+    def body_push_out(wall, lattice, window, distances, owners, x_out):
         p = wp.tid()
         size = window[1]
         dx = lattice[3]

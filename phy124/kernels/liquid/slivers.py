@@ -10,7 +10,6 @@ from typing import Any
 
 import warp as wp
 
-from phy124.kernels.arguments import Ints, types
 from phy124.kernels.build import build_once, kernel
 from phy124.kernels.items import item
 from phy124.kernels.liquid.faces import entry, stride
@@ -28,23 +27,22 @@ def make_slivers(real: Any):
     dt eta / (rho dx^2), so that viscosity determines its velocity. `viscosity` is eta / (rho dx^2)
     [1/s] for a relative density and viscosity of 1.
     """
-    t = types(real)
 
     @kernel(f"phy124_liquid_slivers_{real.__name__}", real, seconds=0.3)
     def slivers(
-        worker: int,
-        active: Ints,
-        ends: Ints,
-        viscosity: real,
+        worker,
+        active,
+        ends,
+        viscosity,
         window,
         clock,
-        densities: t.vec4s,
-        viscosities: t.vec4s,
-        open: t.vec4s,
-        phi: t.reals,
-        liquid: Ints,
-        states: Ints,
-        known_out: Ints,
+        densities,
+        viscosities,
+        open,
+        phi,
+        liquid,
+        states,
+        known_out,
     ):
         n = entry(active, ends, worker, wp.tid())
         if n < 0:

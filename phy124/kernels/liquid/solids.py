@@ -14,7 +14,7 @@ from typing import Any
 
 import warp as wp
 
-from phy124.kernels.arguments import Doubles, Ints, types
+from phy124.kernels.arguments import Doubles, types
 from phy124.kernels.build import build_once, kernel
 from phy124.kernels.diagnostics import wide
 from phy124.kernels.free.numbers import (
@@ -45,13 +45,7 @@ def make_motions(real: Any):
     t = types(real)
 
     @kernel(f"phy124_liquid_motions_{real.__name__}", real, seconds=0.15)
-    def motions(
-        clock,
-        places: t.vec4s,
-        places_next: t.vec4s,
-        slots: Ints,
-        motions_out: wp.array2d(dtype=t.vec3),
-    ):
+    def motions(clock, places: t.vec4s, places_next: t.vec4s, slots, motions_out):
         wall = wp.tid()
         if slots[wall] > 0 and clock[1] > real(0.0):
             r = (places_next[slots[wall]] - places[slots[wall]]) / clock[1]
@@ -89,24 +83,23 @@ def make_jumps(real: Any):
     `wall` is the index of the first wall that is a solid; all later walls are solids as well. In a
     cell that both a freely moving solid and another wall cut, only the part of the solid counts.
     """
-    t = types(real)
 
     @kernel(f"phy124_liquid_jumps_{real.__name__}", real, seconds=0.2)
     def jumps(
-        worker: int,
-        active: Ints,
-        ends: Ints,
-        wall: int,
+        worker,
+        active,
+        ends,
+        wall,
         lattice,
         window,
-        open: t.vec4s,
-        covers: t.vec3s,
-        distances: t.reals,
-        owners: Ints,
-        liquid: Ints,
-        centres: Vectors,
-        which_out: Ints,
-        jumps_out: Vectors,
+        open,
+        covers,
+        distances,
+        owners,
+        liquid,
+        centres,
+        which_out,
+        jumps_out,
         turns_out: Vectors,
     ):
         n = entry(active, ends, worker, wp.tid())
@@ -157,23 +150,22 @@ def make_lift(real: Any):
     The sums are the impulse on each solid and its moment about the solid's centre, both divided by
     rho dx^3.
     """
-    t = types(real)
 
     @kernel(f"phy124_liquid_lift_{real.__name__}", real, seconds=0.3)
     def lift(
-        part: int,
-        counts: Ints,
-        listed: Ints,
+        part,
+        counts,
+        listed,
         lattice,
         window,
         clock,
         values,
-        densities: t.vec4s,
-        distances: t.reals,
-        which: Ints,
-        jumps: Vectors,
-        centres: Vectors,
-        gains: t.vec4s,
+        densities,
+        distances,
+        which,
+        jumps,
+        centres,
+        gains,
         sums_out: Table,
     ):
         p = part + wp.tid()
@@ -210,7 +202,7 @@ def make_kick(real: Any):
 
     @kernel(f"phy124_liquid_kick_{real.__name__}", real, seconds=0.3)
     def kick(
-        solid: int,
+        solid,
         mass: wp.float64,
         scale: wp.float64,
         moments,
@@ -219,7 +211,7 @@ def make_kick(real: Any):
         values,
         plans_out: wp.array2d(dtype=wp.vec3d),
         mobility_out: Table,
-        centres_out: Vectors,
+        centres_out,
         body_out,
     ):
         dt = wp.float64(clock[0])
@@ -260,16 +252,10 @@ def make_predict(real: Any):
 
     This is the motion without the liquid, plus the response to the sums of `make_lift`.
     """
-    t = types(real)
 
     @kernel(f"phy124_liquid_predict_{real.__name__}", real, seconds=0.3)
     def predict(
-        wall: int,
-        plans: wp.array2d(dtype=wp.vec3d),
-        centres: Vectors,
-        mobility: Table,
-        sums: Table,
-        motions_out: wp.array2d(dtype=t.vec3),
+        wall, plans: wp.array2d(dtype=wp.vec3d), centres, mobility: Table, sums: Table, motions_out
     ):
         solid = wp.tid()
         force, turn = rigid_sums(sums, solid)
@@ -288,19 +274,18 @@ def make_respond(real: Any):
     impulse is the impulse times the mean of the solid's velocities at the start of the step and
     after the impulse. If `pulled` is 1, the present velocity already includes the step's gravity.
     """
-    t = types(real)
 
     @kernel(f"phy124_liquid_respond_{real.__name__}", real, seconds=0.3)
     def respond(
         mass: wp.float64,
         moments,
         levers: wp.vec3d,
-        wall: int,
+        wall,
         pulled: int,
         clock,
         values,
         sums_out: Sums,
-        motions_out: wp.array2d(dtype=t.vec3),
+        motions_out,
         total_out: Doubles,
         body_out,
     ):

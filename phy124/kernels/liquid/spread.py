@@ -11,7 +11,7 @@ from typing import Any
 
 import warp as wp
 
-from phy124.kernels.arguments import Doubles, Ints, types
+from phy124.kernels.arguments import types
 from phy124.kernels.build import build_once, kernel
 from phy124.kernels.items import item
 from phy124.kernels.liquid.faces import cell_of, entry, stride, sums
@@ -104,27 +104,26 @@ def make_spread(real: Any, form: str):
     are read, so cells may be processed in any order. `viscosity` is eta / (rho dx^2) [1/s] for a
     relative density and viscosity of 1.
     """
-    t = types(real)
     vec8 = sums(real)
     add_up = FORMS[form]
 
     @kernel(f"phy124_liquid_spread_{real.__name__}_{form}", real, seconds=0.4)
     def spread(
-        worker: int,
-        active: Ints,
-        ends: Ints,
-        viscosity: real,
+        worker,
+        active,
+        ends,
+        viscosity,
         window,
         clock,
-        known: Ints,
-        densities: t.vec4s,
-        viscosities: t.vec4s,
+        known,
+        densities,
+        viscosities,
         cells: wp.array(dtype=vec8),
-        open: t.vec4s,
-        owners: Ints,
+        open,
+        owners,
         body: int,
-        velocity_out: t.vec4s,
-        known_out: Ints,
+        velocity_out,
+        known_out,
     ):
         n = entry(active, ends, worker, wp.tid())
         if n < 0:
@@ -210,25 +209,25 @@ def make_slide(real: Any):
 
     @kernel(f"phy124_liquid_slide_{real.__name__}", real, seconds=0.5)
     def slide(
-        worker: int,
-        active: Ints,
-        ends: Ints,
+        worker,
+        active,
+        ends,
         rubs: int,
         weight: real,
         lattice,
         window,
-        motions: wp.array2d(dtype=t.vec3),
-        frictions: t.vec2s,
-        open: t.vec4s,
-        shares: t.vec2s,
-        distances: t.reals,
-        owners: Ints,
-        densities: t.vec4s,
-        liquid: Ints,
-        known: Ints,
-        pressure: Doubles,
-        velocity: t.vec4s,
-        velocity_out: t.vec4s,
+        motions,
+        frictions,
+        open,
+        shares,
+        distances,
+        owners,
+        densities,
+        liquid,
+        known,
+        pressure,
+        velocity,
+        velocity_out,
         sums_out: wp.array2d(dtype=wp.float64),
     ):
         n = entry(active, ends, worker, wp.tid())

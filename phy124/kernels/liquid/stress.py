@@ -13,7 +13,7 @@ from phy124.kernels.build import build_once, kernel
 from phy124.kernels.items import item
 from phy124.kernels.liquid.conjugate import RESIDUAL, RIGHT, STEEP
 from phy124.kernels.liquid.faces import stride
-from phy124.kernels.liquid.listed import Table, Vectors, count_of, share, total
+from phy124.kernels.liquid.listed import Table, Vectors, count_of, quotient, share, total
 
 
 @wp.func
@@ -55,12 +55,12 @@ def make_strain(real: Any):
 
     @kernel(f"phy124_liquid_strain_{real.__name__}", real, seconds=0.4)
     def strain(
-        part: int,
+        part,
         turn: int,
         begun: int,
         window,
-        counts: Ints,
-        listed: Ints,
+        counts,
+        listed,
         stretch: t.vec3s,
         first: t.vec3s,
         second: t.vec3s,
@@ -76,9 +76,7 @@ def make_strain(real: Any):
         size = window[1]
         beta = wp.float64(0.0)
         if begun > 0:
-            previous = total(sums, 1 - turn)
-            if previous > wp.float64(0.0):
-                beta = total(sums, turn) / previous
+            beta = quotient(sums, turn, total(sums, 1 - turn))
         for k in range(span[0], span[1]):
             n = item(listed, k)
             here = item(z, n) + beta * item(before, n)
@@ -115,11 +113,11 @@ def make_start(real: Any):
 
     @kernel(f"phy124_liquid_start_{real.__name__}", real, seconds=0.4)
     def start(
-        part: int,
+        part,
         window,
-        counts: Ints,
-        listed: Ints,
-        states: Ints,
+        counts,
+        listed,
+        states,
         masses: t.vec3s,
         stretch: t.vec3s,
         first: t.vec3s,
@@ -182,10 +180,10 @@ def make_multiply(real: Any):
 
     @kernel(f"phy124_liquid_multiply_{real.__name__}", real, seconds=0.3)
     def multiply(
-        part: int,
+        part,
         window,
-        counts: Ints,
-        listed: Ints,
+        counts,
+        listed,
         masses: t.vec3s,
         first: t.vec3s,
         second: t.vec3s,
@@ -232,10 +230,7 @@ def relax(
     """
     p = part + wp.tid()
     span = share(count_of(counts), p, counts.shape[0])
-    steep = total(sums_out, STEEP)
-    alpha = wp.float64(0.0)
-    if steep > wp.float64(0.0):
-        alpha = total(sums_out, turn) / steep
+    alpha = quotient(sums_out, turn, total(sums_out, STEEP))
     largest = wp.float64(0.0)
     product = wp.float64(0.0)
     for k in range(span[0], span[1]):

@@ -9,7 +9,7 @@ from typing import Any
 
 import warp as wp
 
-from phy124.kernels.arguments import Ints, types
+from phy124.kernels.arguments import types
 from phy124.kernels.build import build_once, kernel
 from phy124.kernels.items import item
 from phy124.kernels.liquid.faces import FILL, HAT, cell_of, entry, inner, stride, sums
@@ -172,24 +172,24 @@ def make_levels(real: Any):
 
     @kernel(f"phy124_liquid_levels_{real.__name__}", real, seconds=0.4)
     def levels(
-        worker: int,
-        active: Ints,
-        ends: Ints,
+        worker,
+        active,
+        ends,
         lattice,
         window,
         clock,
         values,
-        open: t.vec4s,
-        shares: t.vec2s,
-        distances: t.reals,
-        owners: Ints,
-        solid: int,
+        open,
+        shares,
+        distances,
+        owners,
+        solid,
         cells: wp.array(dtype=vec8),
-        velocity_out: t.vec4s,
+        velocity_out,
         hats_out: t.reals,
-        phi_out: t.reals,
-        liquid_out: Ints,
-        known_out: Ints,
+        phi_out,
+        liquid_out,
+        known_out,
     ):
         n = entry(active, ends, worker, wp.tid())
         if n < 0:
@@ -226,20 +226,20 @@ def make_refill(real: Any):
 
     @kernel(f"phy124_liquid_refill_{real.__name__}", real, seconds=0.3)
     def refill(
-        worker: int,
-        active: Ints,
-        ends: Ints,
+        worker,
+        active,
+        ends,
         lattice,
         window,
-        open: t.vec4s,
-        shares: t.vec2s,
-        distances: t.reals,
-        owners: Ints,
-        solid: int,
+        open,
+        shares,
+        distances,
+        owners,
+        solid,
         fills: t.vec2s,
         hats_out: t.reals,
-        phi_out: t.reals,
-        liquid_out: Ints,
+        phi_out,
+        liquid_out,
     ):
         n = entry(active, ends, worker, wp.tid())
         if n < 0:

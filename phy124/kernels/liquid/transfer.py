@@ -320,7 +320,7 @@ def make_gather(real: Any, form: str):
         window,
         clock,
         values,
-        velocity: t.vec4s,
+        velocity,
         x_out,
         residue_out,
         v_out,

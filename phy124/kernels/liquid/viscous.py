@@ -65,24 +65,23 @@ def make_hold(real: Any):
     `known` contains a bit for each face with mass. Walls from the index `solid` on move freely, and
     hold no faces. All arrays of the solution are reset.
     """
-    t = types(real)
 
     @kernel(f"phy124_liquid_hold_{real.__name__}", real, seconds=0.4)
     def hold(
-        worker: int,
-        active: Ints,
-        ends: Ints,
-        solid: int,
+        worker,
+        active,
+        ends,
+        solid,
         lattice,
         window,
-        known: Ints,
-        open: t.vec4s,
-        distances: t.reals,
-        owners: Ints,
-        frictions: t.vec2s,
-        motions: wp.array2d(dtype=t.vec3),
-        velocity: t.vec4s,
-        states_out: Ints,
+        known,
+        open,
+        distances,
+        owners,
+        frictions,
+        motions,
+        velocity,
+        states_out,
         u_out: Vectors,
         z_out: Vectors,
         first_out: Vectors,
@@ -227,21 +226,21 @@ def make_weigh(real: Any):
 
     @kernel(f"phy124_liquid_weigh_{real.__name__}", real, seconds=0.6)
     def weigh(
-        worker: int,
-        active: Ints,
-        ends: Ints,
-        viscosity: real,
+        worker,
+        active,
+        ends,
+        viscosity,
         window,
         clock,
-        densities: t.vec4s,
-        viscosities: t.vec4s,
-        open: t.vec4s,
-        shares: t.vec2s,
+        densities,
+        viscosities,
+        open,
+        shares,
         eighths: t.reals,
-        distances: t.reals,
-        phi: t.reals,
-        liquid: Ints,
-        states: Ints,
+        distances,
+        phi,
+        liquid,
+        states,
         mass_out: t.vec3s,
         stretch_out: t.vec3s,
         first_out: t.vec3s,
@@ -336,23 +335,23 @@ def make_resist(real: Any):
 
     @kernel(f"phy124_liquid_resist_{real.__name__}", real, seconds=0.4)
     def resist(
-        worker: int,
-        active: Ints,
-        ends: Ints,
+        worker,
+        active,
+        ends,
         scale: wp.float64,
         lattice,
         window,
-        known: Ints,
-        distances: t.reals,
-        owners: Ints,
-        states: Ints,
+        known,
+        distances,
+        owners,
+        states,
         cells: wp.array(dtype=vec8),
         first: t.vec3s,
         second: t.vec3s,
         normal: Vectors,
         shear: Vectors,
         u: Vectors,
-        velocity_out: t.vec4s,
+        velocity_out,
         sums_out: wp.array2d(dtype=wp.float64),
     ):
         n = entry(active, ends, worker, wp.tid())
@@ -411,28 +410,27 @@ def make_bulk(real: Any):
     It is not known in a cell with a wall that holds no face, since this wall limits the flow only
     in the next step.
     """
-    t = types(real)
 
     @kernel(f"phy124_liquid_bulk_{real.__name__}", real, seconds=0.3)
     def bulk(
-        worker: int,
-        active: Ints,
-        ends: Ints,
-        viscosity: real,
+        worker,
+        active,
+        ends,
+        viscosity,
         moving: int,
-        solid: int,
+        solid,
         lattice,
         window,
         clock,
-        viscosities: t.vec4s,
-        motions: wp.array2d(dtype=t.vec3),
-        open: t.vec4s,
-        covers: t.vec3s,
-        distances: t.reals,
-        owners: Ints,
-        liquid: Ints,
-        states: Ints,
-        velocity: t.vec4s,
+        viscosities,
+        motions,
+        open,
+        covers,
+        distances,
+        owners,
+        liquid,
+        states,
+        velocity,
         excess_out: Doubles,
     ):
         n = entry(active, ends, worker, wp.tid())
@@ -456,7 +454,7 @@ def make_release(real: Any):
     """Kernel over cells: subtracts the pressure of the bulk strain once from the pressure."""
 
     @kernel(f"phy124_liquid_release_{real.__name__}", real)
-    def release(worker: int, active: Ints, ends: Ints, pressure_out: Doubles, excess_out: Doubles):
+    def release(worker, active, ends, pressure_out, excess_out: Doubles):
         n = entry(active, ends, worker, wp.tid())
         if n >= 0:
             pressure_out[n] = pressure_out[n] - excess_out[n]

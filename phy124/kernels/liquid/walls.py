@@ -9,7 +9,7 @@ from typing import Any
 
 import warp as wp
 
-from phy124.kernels.arguments import Box, Doubles, Ints, types
+from phy124.kernels.arguments import Doubles, Ints, types
 from phy124.kernels.build import build_once, kernel
 from phy124.kernels.collide import FLAT
 from phy124.kernels.diagnostics import wide
@@ -111,22 +111,21 @@ def make_wall_distance(shape: str, real: Any):
     index of each wall's displacement, or 0 for a wall that never moves. A wall whose track has
     ended has no effect. `region` is the first cell and the size of a region of the window.
     """
-    t = types(real)
     distance = SHAPES[shape]
 
     @kernel(f"phy124_liquid_wall_{shape}_{real.__name__}", real, seconds=0.3)
     def wall_distance(
         first,
         walls: Ints,
-        geometries: t.mat33s,
-        slots: Ints,
+        geometries,
+        slots,
         lattice,
         window,
         values,
-        frame: Doubles,
-        region: Box,
-        distances_out: t.reals,
-        owners_out: Ints,
+        frame,
+        region,
+        distances_out,
+        owners_out,
     ):
         at = cell_of(first + wp.tid(), halves(region[1])) + 2 * region[0]
         if not inner(at, halves(window[1]), 0):
@@ -268,16 +267,16 @@ def make_openings(shape: str, real: Any):
     def openings(
         first,
         walls: Ints,
-        geometries: t.mat33s,
-        slots: Ints,
+        geometries,
+        slots,
         lattice,
         window,
         values,
-        frame: Doubles,
-        region: Box,
-        distances: t.reals,
-        open_out: t.vec4s,
-        covers_out: t.vec3s,
+        frame,
+        region,
+        distances,
+        open_out,
+        covers_out,
     ):
         cell = cell_of(first + wp.tid(), region[1]) + region[0]
         if not inner(cell, window[1], 0):
@@ -348,14 +347,14 @@ def make_eighths(shape: str, real: Any):
     def eighths(
         first,
         walls: Ints,
-        geometries: t.mat33s,
-        slots: Ints,
+        geometries,
+        slots,
         lattice,
         window,
         values,
-        frame: Doubles,
-        region: Box,
-        distances: t.reals,
+        frame,
+        region,
+        distances,
         vacant_out: t.reals,
     ):
         at = cell_of(first + wp.tid(), 2 * region[1]) + 2 * region[0]
@@ -394,15 +393,7 @@ def make_solid_shares(real: Any):
     vec6 = wp.types.vector(6, real)
 
     @kernel(f"phy124_liquid_solid_shares_{real.__name__}", real, seconds=0.3)
-    def solid_shares(
-        first,
-        window,
-        lattice,
-        region: Box,
-        distances: t.reals,
-        vacant: t.reals,
-        shares_out: t.vec2s,
-    ):
+    def solid_shares(first, window, lattice, region, distances, vacant: t.reals, shares_out):
         size = window[1]
         cell = cell_of(first + wp.tid(), region[1]) + region[0]
         if not inner(cell, size, 0):
