@@ -1,46 +1,23 @@
-"""Live runs: inputs act from the next frame on, are bounded, and become a scene."""
+"""Live runs: inputs act from the next frame on, and become a scene."""
 
 import json
 import runpy
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from phy124.errors import InputError
 from phy124.forces import WrenchForce
-from phy124.gaussians import Gaussians
-from phy124.generators.shapes import ball
 from phy124.lattice.solver import LatticeSolver
-from phy124.live import Live, RealTime, choose, engine, held_rate
+from phy124.live import Live
 from phy124.live import inputs as live_inputs
 from phy124.live.inputs import GrabRecord, Inputs
-from phy124.runtime import stopwatch
 from phy124.runtime.context import RunContext
 from phy124.scene import Scene
-from phy124.simulation import Stopped
+from support.lives import GROUND, live, middle, scene, thing
 from support.pages import ROOT
 
 pytestmark = pytest.mark.usefixtures("coarse_solids")
-
-GROUND = [{"kind": "ground"}, {"kind": "sphere", "centre": [0, 0.8, 0.2], "radius": 0.25}]
-
-
-def thing() -> Gaussians:
-    return ball(400)
-
-
-def scene(**changes: object) -> Scene:
-    base = Scene.named("drop").replaced({"accuracy": {"cells": 8}, "binding": "lattice"})
-    return base.replaced({"object.lift": 0.1, "boundaries": GROUND, "time.fps": 24.0, **changes})
-
-
-def live(**changes: object) -> Live:
-    return Live(thing(), scene(**changes), RunContext(threads=1))
-
-
-def middle(frame) -> np.ndarray:
-    return frame.gaussians.means.astype(np.float64).mean(axis=0)
 
 
 def play(run: Live) -> list:
@@ -227,65 +204,6 @@ def test_live_run_keeps_only_the_poses_that_it_draws():
     assert len(run._run.poses) <= 2
 
 
-def test_a_frame_that_fails_drops_the_inputs_and_goes_on(monkeypatch):
-    run = live()
-    list(run.frames(14))
-    run.push((0, 0, 100), seconds=10)
-    run.step()
-    sound, fails = type(run._run).step, iter([True, True, False])
-
-    def step(self):
-        if next(fails, False):
-            raise Stopped("frame 15 is not valid.", ())
-        return sound(self)
-
-    monkeypatch.setattr(type(run._run), "step", step)
-    frame = run.step()
-    # It failed without the push, too, so it went back to the state kept after 12 frames.
-    assert frame.index == 12 and "frame 15 is not valid" in run.notes[0]
-    assert not [f for f in run.session().forces if f.kind == "wrench"]
-    assert np.isfinite(frame.gaussians.means).all()
-
-
-@pytest.mark.parametrize(("broken", "pushed"), [(1, False), (14, False), (14, True)])
-def test_a_run_ends_if_it_fails_from_the_start(monkeypatch, broken, pushed):
-    run = live()
-    sound = type(run._run).step
-
-    def step(self):
-        if self.count == broken:
-            raise Stopped(f"frame {broken} is not valid.")
-        return sound(self)
-
-    monkeypatch.setattr(type(run._run), "step", step)
-    run.step()
-    if pushed:
-        run.push((1, 0, 0), seconds=0.01)
-    with pytest.raises(Stopped, match=f"frame {broken} is not valid. .* without inputs"):
-        list(run.frames(40))
-    assert len(run.notes) < 6
-    assert ("starts again" in " ".join(run.notes)) == pushed
-
-
-def test_frames_that_need_too_many_substeps_drop_the_inputs(monkeypatch):
-    monkeypatch.setattr(engine, "SLOWEST", 3)
-    run = live()
-    run.step()
-    run.push(torque=(0, 1e9, 0), seconds=9)
-    taken = []
-    for _ in range(6):
-        before = run._run.solver.clock.substeps
-        run.step()
-        taken.append(run._run.solver.clock.substeps - before)
-    assert "needs more than" in " ".join(run.notes) and "too violent" in " ".join(run.notes)
-    assert max(taken) <= run._run.most_substeps < 50
-    run.push((1, 0, 0))
-    run.soften(100)
-    before = run._run.most_substeps
-    run.step()
-    assert run._run.most_substeps == pytest.approx(10 * before, rel=0.2), "it is ten times stiffer"
-
-
 def test_liquid_flows_while_inputs_are_possible():
     accuracy = {"cells": 8, "liquid": "projection"}
     run = live(material={"law": "fluid"}, accuracy=accuracy, boundaries=[{"kind": "ground"}])
@@ -293,98 +211,6 @@ def test_liquid_flows_while_inputs_are_possible():
     assert heights[0] - heights[-1] == pytest.approx(9.81 * (3 / 24) ** 2 / 2, rel=0.02)
     frames = list(run.frames(36))  # It spreads to a layer of one cell.
     assert not run.notes and frames[-1].index == 39
-
-
-@pytest.mark.parametrize(
-    ("call", "field"),
-    [
-        (lambda run: run.grab((np.nan, 0, 0)), "grab.point"),
-        (lambda run: run.grab((50, 0, 0)), "grab.point"),
-        (lambda run: run.grab((0, 0, 0.9), radius=0), "grab.radius"),
-        (lambda run: run.move_to((0, 0, 0)), "move_to"),
-        (lambda run: run.push("north"), "push.force"),
-        (lambda run: run.push((1, 0, 0), seconds=-1), "push.seconds"),
-        (lambda run: run.push((1, 0, 0), at=(0, 9, 0)), "push.at"),
-        (lambda run: run.gravity((0, 0, np.inf)), "gravity"),
-        (lambda run: run.move(7, (0, 0, 0)), "move.wall"),
-        (lambda run: run.move(2, (0, 0, 0)), "move.wall"),
-        (lambda run: run.move(True, (0, 0, 0)), "move.wall"),
-    ],
-)
-def test_impossible_inputs_are_refused_and_the_run_continues(call, field):
-    swings = {"kind": "sphere", "centre": [0, 0.8, 0.2], "motion": {"kind": "swing"}}
-    run = live(boundaries=[*GROUND, swings])
-    run.step()
-    with pytest.raises(InputError) as refused:
-        call(run)
-    assert refused.value.field == field and refused.value.remedy
-    assert np.isfinite(run.step().gaussians.means).all()
-
-
-def test_excessive_inputs_are_reduced_and_reported():
-    run = live()
-    run.step()
-    run.push((1e30, 0, 0), seconds=0.01)
-    run.grab((0, 0, 0.9))
-    run.move_to((0, 0, 2.3e11))
-    for frame in run.frames(5):
-        assert np.isfinite(frame.gaussians.means).all()
-    assert len(run.notes) == 2 and "reduced to the limit" in run.notes[0]
-    for _ in range(30):
-        run.push((1, 0, 0), seconds=9)
-    run.push((1, 0, 0), seconds=9)
-    with pytest.raises(InputError, match="push"):
-        run.push((1, 0, 0), seconds=9)
-        run.push((1, 0, 0), seconds=9)
-
-
-def test_torque_spins_a_rim_no_faster_than_force_pushes():
-    limits = live().limits
-    (force, _, _), said = limits.force("push.force", (1e30, 0, 0))
-    (torque, _, _), also = limits.torque("push.torque", (1e30, 0, 0))
-    inertia = 0.4 * limits.mass * (limits.size / 2) ** 2  # of a solid ball
-    rim = torque / inertia * limits.size / 2
-    assert rim == pytest.approx(force / limits.mass) and said and also
-
-
-def test_run_restarts_if_the_object_flies_away():
-    run = live(boundaries=[])
-    run.step()
-    run.gravity((1e9, 0, 0))
-    frames = list(run.frames(30))
-    ways = [middle(frame)[0] for frame in frames]
-    assert 20 < max(ways) < 60 and frames[-1].index < 30
-    assert "starts again" in run.notes[-1] and run.time < 1
-
-
-@pytest.mark.parametrize("inputs", [60, pytest.param(1000, marks=pytest.mark.slow)])
-def test_random_hands_never_break_it(inputs):
-    rng, run = np.random.default_rng(7), live()
-    extremes = [0.0, -1.0, 1e-30, 1e9, 1e30, -1e30, np.nan, np.inf]
-
-    def value() -> float:
-        return float(rng.choice(extremes) if rng.random() < 0.5 else rng.normal())
-
-    def triple() -> tuple:
-        return value(), value(), value()
-
-    calls = [
-        lambda: run.grab(triple()),
-        lambda: run.move_to(triple()),
-        run.release,
-        lambda: run.push(triple(), torque=triple(), seconds=value()),
-        lambda: run.push(triple(), at=triple()),
-        lambda: run.gravity(triple()),
-        lambda: run.move(int(rng.integers(-1, 3)), triple()),
-        lambda: run.grab(middle(run.step()) + 0.4 * rng.normal(size=3), radius=0.5),
-    ]
-    for _ in range(inputs):
-        try:
-            calls[rng.integers(len(calls))]()
-        except InputError as refused:
-            assert refused.remedy
-        if rng.random() < 0.5:
-            assert np.isfinite(run.step().gaussians.means).all()
 
 
 def test_external_binding_gets_motion_without_shapes():
@@ -404,40 +230,6 @@ def test_external_binding_gets_motion_without_shapes():
     assert np.array_equal(first.means, last.means) and not np.array_equal(
         first.means, frames[-1][0].gaussians.means
     )
-
-
-def test_the_grid_is_as_fine_as_this_machine_holds(monkeypatch):
-    now = [0.0]
-
-    def show(frame):
-        now[0] += 1.0
-
-    with monkeypatch.context() as patch:
-        for clock in (choose, stopwatch):
-            patch.setattr(clock, "time", SimpleNamespace(perf_counter=lambda: now[0]))
-        slow = held_rate(thing(), scene(), RunContext(threads=1), show=show)
-    assert slow.scene.resolution.cells == 8 and slow.scene.binding == "lattice"
-    assert slow.factor == pytest.approx(1 / 24)
-    exact = held_rate(thing(), scene(), RunContext(threads=1), max_error=0.15)
-    assert exact.promise.error <= 0.15 and "at most" in exact.sentence
-    with pytest.raises(InputError, match="rate"):
-        held_rate(thing(), scene(), rate=float("nan"))
-
-
-def test_finest_grid_in_real_time_follows_from_a_trial(monkeypatch):
-    tried = []
-
-    def trial(gaussians: Gaussians, on: Scene, *_) -> choose.Cost:
-        tried.append(on.resolution.cells)
-        return choose.Cost(12, substeps=0.002, others=0.01)
-
-    monkeypatch.setattr(choose, "_trial", trial)
-    # A frame may take 0.8 / 24 = 33 ms: 25.4 of 20 cells and 42 of 24 fit and do not.
-    held = held_rate(thing(), scene())
-    assert held.scene.resolution.cells == 20 and tried == [12]
-    assert held.factor == pytest.approx(1 / (24 * (0.01 + 0.002 * (20 / 12) ** 4)))
-    assert held_rate(thing(), scene(), rate=0.5).scene.resolution.cells == 24
-    assert held_rate(thing(), scene(), rate=4).scene.resolution.cells == 8
 
 
 @pytest.mark.slow
@@ -462,30 +254,6 @@ def test_the_notebook_runs(monkeypatch, capsys):
     ways = [middle(frame)[1] for frame in names["frames"]]
     assert max(ways) > ways[0] + 0.1
     assert names["strip"].size == (192 * 7, 192)
-
-
-def test_late_frames_slow_time_down_and_never_queue_up():
-    now, waits = [0.0], []
-
-    def sleep(seconds: float) -> None:
-        waits.append(seconds)
-        now[0] += seconds
-
-    clock = RealTime(10, clock=lambda: now[0], sleep=sleep)
-    for _ in range(30):
-        now[0] += 0.02
-        clock.wait()
-    assert clock.factor == pytest.approx(1) and waits[-1] == pytest.approx(0.08)
-    now[0] += 5
-    clock.wait()
-    before = len(waits)
-    clock.wait()
-    # The five seconds are not caught up: the next frame is due a tenth of a second later.
-    assert len(waits) == before + 1 and waits[-1] == pytest.approx(0.1)
-    for _ in range(30):
-        now[0] += 0.2
-        clock.wait()
-    assert clock.factor == pytest.approx(0.5)
 
 
 def test_softness_changes_next_frame_and_replays():
@@ -520,40 +288,3 @@ def test_softness_changes_next_frame_and_replays():
     for wrong in (0, 1e30, float("nan"), None):
         with pytest.raises(InputError, match=r"from 0\.01 to 100"):
             run.soften(wrong)
-
-
-@pytest.mark.parametrize("liquid", ["projection", "compressible"])
-def test_liquids_refuse_to_soften_and_the_run_continues(liquid):
-    accuracy = {"cells": 8, "liquid": liquid}
-    run = live(material={"law": "fluid"}, accuracy=accuracy, boundaries=GROUND[:1])
-    run.step()
-    with pytest.raises(InputError, match=r"^soften = 2: the stiffness of .* cannot be changed"):
-        run.soften(2)
-    run.step()
-    with pytest.raises(InputError, match=r"Give the number of a boundary: 0 \(ground\)\."):
-        run.move("ground", (0, 0, 1))
-
-
-def swing(run: Live) -> None:
-    """Hold the top and draw it to and fro by 0.3 m in each frame."""
-    run.step()
-    run.grab((0, 0, 1.0))
-    for step in range(4):
-        run.move_to((0, 0.3 if step % 2 else -0.3, 1.0))
-        run.step()
-
-
-def test_a_hand_pulls_soft_material_slower_than_sound():
-    soft = live(**{"material.E": 2e4})
-    swing(soft)
-    assert not soft.notes and soft.holds, "with three weights it would drop the inputs"
-    assert soft.session().forces[-1].strength < 2 * soft.limits.weight
-    stiff = live(**{"material.E": 1e6})
-    swing(stiff)
-    assert stiff.session().forces[-1].strength == pytest.approx(3 * stiff.limits.weight)
-
-
-def test_trial_of_real_time_outlives_a_frame_that_drops_its_hand(monkeypatch):
-    monkeypatch.setattr(engine, "SLOWEST", 1.0)
-    held = held_rate(thing(), scene(**{"material.E": 2e4}))
-    assert held.scene.resolution.cells in choose.CELLS
