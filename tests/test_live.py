@@ -72,6 +72,26 @@ def test_new_target_of_the_hand_replaces_only_a_track(monkeypatch):
         assert np.array_equal(frame.gaussians.means, other.gaussians.means)
 
 
+def test_new_place_of_a_wall_replaces_only_its_tracks(monkeypatch):
+    """A container with a free ball in it is moved; the run equals its repetition bit for bit."""
+    box = {"kind": "container", "inside": {"lower": [-0.6, -0.6, 0], "upper": [0.6, 0.6, 2]}}
+    ball = {"shape": "sphere", "name": "ball", "on": "object", "size": 0.5, "lift": 0.05}
+    data = {"boundaries": [{"kind": "ground"}, box], "forces": [{"kind": "gravity"}]}
+    data |= {"material": {"law": "neo_hookean"}, "objects": [{**ball, "motion": {"kind": "free"}}]}
+    data["accuracy"] = {"cells": 6, "solver": "lattice"}
+    bind, bound = LatticeSolver.bind, []
+    run = Live(thing(), Scene.from_data(data), RunContext(threads=1))
+    monkeypatch.setattr(LatticeSolver, "bind", lambda *a, **b: bound.append(bind(*a, **b)))
+    frames = [run.step()]
+    for step in range(12):
+        run.move(1, (0, 0.04 * step, 0))
+        frames.append(run.step())
+    assert len(bound) <= 2
+    clip = run.clip()
+    assert all(np.array_equal(f.gaussians.means, clip.means[f.index]) for f in frames)
+    assert run.centres["ball"][1] > 0.05
+
+
 def test_live_run_keeps_only_acting_forces():
     inputs = Inputs(scene())
     for start in range(50):

@@ -177,13 +177,15 @@ class LatticeSolver(Kept):
 
         Each element of `moved` contains the present track and the new track.
         """
-        known = self.tracks.tracks
-        # Equal tracks may belong to different hands or walls.
-        if any(known.count(old) != 1 or len(old.keys) != len(new.keys) for old, new in moved):
-            return False
-        slots = [known.index(old) for old, _ in moved]
-        for slot, (_, new) in zip(slots, moved, strict=True):
-            self.tracks.put(slot, new)
+        known, every = self.tracks.tracks, [old for old, _ in moved]
+        for old, new in moved:
+            # Equal tracks may belong to different hands or walls.
+            alike = known.count(old) == every.count(old) == moved.count((old, new))
+            if not alike or len(old.keys) != len(new.keys):
+                return False
+        slots = [slot for slot, track in enumerate(known) if track in every]
+        for slot in slots:
+            self.tracks.put(slot, moved[every.index(known[slot])][1])
         self._sample.launch()
         return True
 

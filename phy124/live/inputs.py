@@ -40,8 +40,7 @@ class GrabRecord:
         """Return the user's grab as a force; targets that no longer matter at `since` [s] are
         omitted.
         """
-        before = bisect_right(self.times, since - self.start + ROUNDING) - 1
-        first = max(min(before, len(self.times) - 2), 0)
+        first = _first(self.times, since - self.start)
         return Grab(
             start=self.start,
             end=self.end,
@@ -79,6 +78,13 @@ class WallPath:
         x, y, z = there.tolist()
         self.points.append((x, y, z))
         return far <= most
+
+
+    def path(self, since: float) -> Path:
+        """Return the motion as a path; points that no longer matter at `since` [s] are omitted."""
+        first = _first(self.times, since)
+        times, points = tuple(self.times[first:]), tuple(self.points[first:])
+        return Path(times=times, points=points, smooth=False)
 
 
 class Inputs:
@@ -151,8 +157,8 @@ class Inputs:
         """Return the scene with all inputs except inputs that ended before `since` [s]."""
         boundaries = list(self.base.boundaries)
         for index, moved in self.moved.items():
-            path = Path(times=tuple(moved.times), points=tuple(moved.points), smooth=False)
-            boundaries[index] = boundaries[index].model_copy(update={"motion": path})
+            wall, path = boundaries[index], moved.path(since)
+            boundaries[index] = wall.model_copy(update={"motion": path})
         # A grab acts from its second target on. The next frame adds this target.
         grabs = [held for held in self.grabs if len(held.times) > 1 and _acts_after(held, since)]
         held_by = (held.force(since) for held in grabs)
@@ -207,6 +213,11 @@ class Inputs:
         weights = zip(self.gravity, ends, strict=True)
         changed = [g.model_copy(update={"end": end}) for g, end in weights]
         return forces + [g for g in changed if _acts_after(g, since)]
+
+
+def _first(times: list[float], since: float) -> int:
+    """Return the index of the last time up to `since` [s], but leave at least two times."""
+    return max(min(bisect_right(times, since + ROUNDING) - 1, len(times) - 2), 0)
 
 
 def _end_by(push: WrenchForce, time: float) -> WrenchForce:

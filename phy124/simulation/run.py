@@ -161,7 +161,8 @@ class Simulation:
 
         solver, moved = self.solver, find_moved(self._asked, scene)
         if moved is not None and isinstance(solver, LatticeSolver) and solver.retarget(moved):
-            self.scene, self._asked = self.scene.model_copy(update={"forces": scene.forces}), scene
+            acting = {"forces": scene.forces, "boundaries": scene.boundaries}
+            self.scene, self._asked = self.scene.model_copy(update=acting), scene
             return
         rejected, asked = self.solver.rejection.rejected, scene
         scene = keep_lattice(scene, self.setup.scene)
