@@ -79,7 +79,6 @@ class WallPath:
         self.points.append((x, y, z))
         return far <= most
 
-
     def path(self, since: float) -> Path:
         """Return the motion as a path; points that no longer matter at `since` [s] are omitted."""
         first = _first(self.times, since)
