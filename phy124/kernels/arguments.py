@@ -1,7 +1,7 @@
 """Declares number types per precision, and the name, type and meaning of each kernel argument.
 
-A kernel's signature states a type only if the type differs from the one in this module, or if no
-other kernel uses the argument.
+A kernel's signature states the type of an argument only if it differs from the type in this module,
+or if no other kernel uses the argument.
 """
 
 from functools import cache

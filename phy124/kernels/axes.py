@@ -142,7 +142,8 @@ def across(e: wp.vec3d, wanted: wp.vec3d, spare: wp.vec3d) -> wp.vec3d:
 def orientation(a: wp.mat33d, lengths: wp.vec3d, previous: wp.mat33d) -> wp.mat33d:
     """Return the proper rotation whose axes are along the (nearly) orthogonal columns of A.
 
-    The longest axis is exact. The previous axis replaces a column of zero length.
+    The longest column determines its axis exactly. For a column of zero length, the axis of
+    `previous` is used.
     """
     i = int(0)
     if lengths[1] > lengths[i]:
@@ -174,7 +175,9 @@ def orientation(a: wp.mat33d, lengths: wp.vec3d, previous: wp.mat33d) -> wp.mat3
 
 @wp.func
 def nearest_labels(u: wp.mat33d, previous: wp.mat33d) -> wp.mat33d:
-    """Return W, the proper signed permutation for which U W is closest to `previous`."""
+    """Return the signed permutation W, with determinant 1, for which U W is closest to
+    `previous`.
+    """
     unit = wp.float64(1.0)
     m = wp.transpose(previous) * u
     best = wp.identity(n=3, dtype=wp.float64)

@@ -2,8 +2,8 @@
 
 `make_contact` enforces contact exactly at the wall (docs/design/contact.md). At a curved wall,
 columns of nodes cross, so `make_settle` adds the mean of the changes that the columns request. If
-the changes were summed instead, bodies would be squeezed flat. `make_collider` lets each node
-respond alone, for regions that are fixed only in some directions.
+the changes were summed instead, bodies would be squeezed flat. `make_collider` treats each node
+separately, for regions that are fixed only in some directions.
 """
 
 from typing import Any
@@ -89,14 +89,15 @@ def make_settle(real: Any):
 def make_contact(shape: str, response: str, real: Any, updating: bool = False):
     """Kernel: makes the nodes of a sub-box respond to a wall, in columns of three nodes.
 
-    Each thread handles `each` consecutive nodes of a row. A node with a signed distance below
-    `reach` [m] responds alone if it has no column. The launch may change only the layers `span`
-    (first, last) of nodes. The value of the track `slot` displaces the shape.
+    Each thread handles `each` consecutive nodes of a row. A node that belongs to no column is
+    treated separately if its signed distance is below `reach` [m]. The launch may change only the
+    layers `span` (first, last) of nodes. The shape is displaced by the current value of the track
+    with index `slot`.
 
     `lightest` is the mass of a node that is full of the lightest material [kg], or infinite for a
     single material. `full` is the fraction of the expected mass above which material touches the
-    wall. In columns that the wall does not push, nodes below the signed distance `loose` [m]
-    respond alone.
+    wall. In columns that the wall does not push, nodes with a signed distance below `loose` [m] are
+    treated separately.
 
     A flat wall changes `grid_out`; other walls change `changes_out` (see `make_settle`). If
     `updating` is set, the kernel also reads momenta from `grid` and updates all nodes of the
@@ -366,10 +367,10 @@ def make_contact(shape: str, response: str, real: Any, updating: bool = False):
 
 @build_once
 def make_collider(shape: str, response: str, real: Any):
-    """Kernel over the nodes of a sub-box: applies a wall's response to the nodes inside its shape.
+    """Kernel over the nodes of a sub-box: applies a wall's response to the nodes inside the wall.
 
-    A node counts as inside if its signed distance is below `reach` [m]. The value of the track
-    `slot` displaces the shape.
+    A node counts as inside if its signed distance is below `reach` [m]. The shape is displaced by
+    the current value of the track with index `slot`.
     """
     distance, answer = SHAPES[shape], RESPONSES[response].answer
     name = f"phy124_collide_{shape}_{response}_{real.__name__}"

@@ -27,7 +27,9 @@ def slip(v: Any, wall: Any, n: Any, friction: Any):
 
 @wp.func
 def separate(v: Any, wall: Any, n: Any, friction: Any):
-    """Let a departing node leave; stop any other, with friction (Stomakhin et al. 2013, sec. 8)."""
+    """Return the velocity after contact with friction that allows separation (Stomakhin et al.
+    2013, sec. 8).
+    """
     relative = v - wall
     speed = wp.dot(relative, n)
     if speed >= type(speed)(0.0):
@@ -98,8 +100,7 @@ def relative(q0: Any, q1: Any, q2: Any, wall: Any):
 
 @wp.func
 def narrow(m: Any, farther: Any, u: Any):
-    """Return the factor by which the narrowing of a body reduces its mass on the next node towards
-    a wall.
+    """Return the factor by which a body's taper reduces its mass on the next node towards a wall.
 
     `m` is the body's mass on a node u cells in front of the wall, and `farther` the mass on the
     next node away from the wall. If the cross-section grows with a power of the distance, the ratio

@@ -71,7 +71,7 @@ def make_contact_reach(real: Any):
 
 @build_once
 def make_contacts(real: Any):
-    """Kernel over particles: adds each particle's part of the wall's impulses to its total."""
+    """Kernel over particles: adds the wall's impulse on each particle to the particle's total."""
     t = types(real)
 
     @kernel(f"phy124_contacts_{real.__name__}", real, seconds=0.4)
@@ -112,7 +112,7 @@ IMPULSE, MOMENT, SUMS = 0, 3, 6
 
 @build_once
 def make_wall_wrench(real: Any):
-    """Kernel over rows of nodes: adds the wrench of a wall since `make_wall_copy` stored the nodes.
+    """Kernel over rows of nodes: adds the wrench that a wall exerted since `make_wall_copy` ran.
 
     The moment is about the origin of the world. The gather preserves the angular momentum of the
     nodes (APIC, Jiang et al. 2015), so the sum equals the wrench on the material.

@@ -60,8 +60,8 @@ def make_totals(law: Law, real: Any, on_lattice: bool = False):
     """Kernel: sums momentum, energy and the other `SUMS` over particles; counts invalid particles.
 
     On lattices, C of inverted points is divided by a small positive number instead of by J
-    (`safe_volume`). The forces of laws without a barrier have the sign of J, so the power is
-    corrected accordingly.
+    (`safe_volume`). If the law has no barrier, the nodal forces of inverted points change sign
+    (lattice/stress.py), so the power changes sign, too.
 
     `counts_out` receives the number of invalid particles of each kind, and `first_out` the lowest
     index of each kind.

@@ -77,7 +77,9 @@ def make_fluctuation(real: Any, form: str):
 
 @build_once
 def make_keep(real: Any):
-    """Kernel: adds a fraction of the fluctuation, without noise, to v and C."""
+    """Kernel: adds a fraction of the fluctuation, minus the noise in the fluctuation, to v and
+    C.
+    """
     t = types(real)
 
     @kernel(f"phy124_keep_{real.__name__}", real)

@@ -64,9 +64,10 @@ def tait_energy(F: Any, h: Any, theta: Any):
 def tait(F: Any, C: Any, h: Any, theta: Any):
     """Return the Kirchhoff stress -J p I + 2 j eta dev(sym C) + zeta tr C I + K' lag I.
 
-    theta = (K [Pa], gamma, eta [Pa s], zeta [Pa s], K' [Pa], 1 / relaxation time [1/s]). Tension
-    acts as cohesion. Here j = min(J, 1), so that the viscosity per unit mass, which limits the
-    substep, does not change when the fluid expands. zeta damps sound where the fluid is compressed.
+    theta = (K [Pa], gamma, eta [Pa s], zeta [Pa s], K' [Pa], 1 / relaxation time [1/s]). A negative
+    pressure acts as cohesion. Here j = min(J, 1), so that the viscosity per unit mass, which limits
+    the substep, does not change when the fluid expands. zeta damps sound where the fluid is
+    compressed.
     """
     unit = type(theta[0])(1.0)
     J, more = squeeze(F)

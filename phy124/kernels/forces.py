@@ -37,7 +37,8 @@ def make_accelerate(real: Any, per_mass: bool):
 def make_zone(real: Any):
     """Kernel: adds kick * a to v for the particles that are currently inside a box.
 
-    If `axis` is 0, 1 or 2, the zone is the cylinder along this axis about the centre of the box.
+    If `axis` is 0, 1 or 2, particles farther than `radius` from the box's central line along this
+    axis are excluded.
     """
     t = types(real)
 

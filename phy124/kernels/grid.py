@@ -97,7 +97,7 @@ def make_update(real: Any):
 
 @build_once
 def make_merge(real: Any):
-    """Kernel over rows of nodes: adds up the private nodes to which the workers scattered.
+    """Kernel over rows of nodes: sums the workers' separate copies of the nodes after the scatter.
 
     `boxes` contains the lowest node and the extent of each worker's box, and `starts` the index in
     `pool` of the box's first node. The boxes are always added in the same order.

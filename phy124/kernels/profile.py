@@ -1,8 +1,9 @@
 """Samples piecewise linear tracks (values over time) on the device, once per substep.
 
 A force is averaged over the interval of its kick. These intervals cover time without gaps, so the
-total impulse of a force is exact for any sequence of substeps. If the period of a wall is shorter
-than a substep, the wall's speed is its displacement in the substep divided by the substep.
+total impulse of a force is exact for any sequence of substeps. If the period of a wall's motion is
+shorter than a substep, the wall's velocity is its displacement during the substep, divided by the
+length of the substep.
 """
 
 from typing import Any

@@ -156,9 +156,9 @@ def make_uniform_sums(real: Any):
     """Single-thread kernel: adds the uniform acceleration's impulse and work in a substep to sums.
 
     `walls_out` stores the walls' sums up to the previous substep. `mean_pushes` and `mean_walls`
-    contain the work on lattices and on projected liquids, which is computed with the mean
-    velocities of a step. `base` is the momentum without the impulses in the arrays of sums. Each
-    array has one row of sums per worker; `mean_walls` has one row per wall for a lattice, and a
+    contain the impulses and the work on lattices and projected liquids; this work is computed with
+    the mean velocities of a step. `base` is the momentum without the impulses in these arrays. Each
+    array has one row of sums per worker, except `mean_walls`: one row per wall for a lattice, and a
     single row for a liquid. `solids` contains the impulses of freely moving solids on lattices.
     `pairs` contains the impulses of the first body of each pair on the second body. `signs` is 1 or
     -1 for pairs whose first or second body is fixed, and 0 for all other pairs.

@@ -34,7 +34,9 @@ normal; otherwise, the normal of the nearest face is used.
 
 @wp.func
 def volume_of_round(d: Any, s: Any, geometry: Any, dx: Any):
-    """Return the contact normal, and the volume fraction around a node for a flat surface."""
+    """Return the normal of a flat surface, and the fraction of the volume around a node behind the
+    surface.
+    """
     return wp.vector(s[0], s[1], s[2], coverage(-s[3] / dx))
 
 

@@ -53,10 +53,10 @@ def make_touch(shape: str, real: Any, rows: Rows):
     `inverse` is the inverse mass, or zero for nodes in a clamp. `force_out` contains the mean force
     on each point in the last substep [N], and is set to zero for a point that has left the wall.
     Contact with a point begins at the distance `space_out` from the wall, which is -inf until the
-    point is first near the wall. If the point is then inside the wall, or is inside it without
-    contact, contact begins at its depth, because moving the point out would create energy.
-    `gap_out` is the normal and the distance of each point near the wall; the distance of other
-    points is infinite.
+    point is first near the wall. If the point is inside the wall at that time, or enters the wall
+    without contact, contact begins at the point's depth, because moving the point out would create
+    energy. `gap_out` is the normal and the distance of each point near the wall; the distance of
+    other points is infinite.
     """
     t = types(real)
     moved_by, strike = rows.moved_by, rows.strike
@@ -215,12 +215,12 @@ def make_meet(real: Any, rows: Rows):
     """Single-thread kernel: computes the gaps between points of two bodies, as `make_touch` does.
 
     The weights of a pair are the weights of the point minus the weights of the opposite position,
-    so a pair is treated like a single point. `rest_out` and the nodes then give the vector from the
-    opposite position to the point. The opposite position follows the point along the surface, so
-    that the pair's impulses have no moment. `back` converts the displacement of the opposite
-    position to a displacement in the body at rest; `slopes` times the converted displacement is
-    subtracted from the weights. A pair is ignored if the position moves farther than `far`, or if
-    the points are farther apart than `reach`.
+    so a pair is treated like a single point. `rest_out` plus the weighted displacements of the
+    nodes is the vector from the opposite position to the point. The opposite position follows the
+    point along the surface, so that the pair's impulses have no moment. `back` maps this motion to
+    the body at rest. `slopes` contains the gradients of the weights, from which the new weights
+    follow. A pair is ignored if the opposite position moves farther than `far`, or if the gap
+    exceeds `reach`.
 
     For nodes in a clamp, `inverse` is zero, but `whole` is not. A pair of points of one body
     (`between` is 0) is ignored if a node of the pair is in a clamp, because the clamp's sums would

@@ -65,9 +65,10 @@ def make_grid_touch(real: Any, rows: Rows):
     material (`moves` is 0).
 
     Contact with a point begins at the distance `space_out` from the material, which is -inf until
-    the point is first near the material. A point that is then inside the material, at most
-    `DEEPEST`, keeps its depth until it leaves the material, because moving the point out would
-    create energy. If `starts` is 1, points that touch the material keep their present distance.
+    the point is first near the material. A point that is inside the material at that time, to a
+    depth of at most `DEEPEST`, keeps its depth until it leaves the material, because moving the
+    point out would create energy. If `starts` is 1, points that touch the material keep their
+    present distance.
     """
     t = types(real)
     moved_by, yielding, strike = rows.moved_by, rows.yielding, rows.strike
@@ -153,7 +154,7 @@ def make_grid_touch(real: Any, rows: Rows):
 
 @wp.func
 def reversed_cosine(normal: Any, n: Any):
-    """Return the cosine between a reversed normal and the normal n; 1 if the first normal is 0."""
+    """Return the cosine of the angle between -`normal` and n; 1 if `normal` is zero."""
     if wp.length(normal) == type(n[0])(0.0):
         return type(n[0])(1.0)
     return -wp.dot(normal, n)

@@ -32,7 +32,9 @@ which would create energy.
 
 @wp.func
 def apart(side: wp.array(dtype=int), a: int, b: int):
-    """Return whether two points belong to separate pieces of a body, with copies of nodes."""
+    """Return whether two points belong to different pieces of a body, whose nodes were duplicated
+    at the gap between the pieces.
+    """
     return side[a] > 0 and side[b] > 0 and side[a] != side[b]
 
 
@@ -74,7 +76,7 @@ def touches(
     i: int,
     j: int,
 ):
-    """Return whether contact is possible near two samples that are closer than `far`.
+    """Return whether two sampled points are closer than `far`, and may touch.
 
     `x` contains the current positions of the samples.
     """
@@ -104,7 +106,7 @@ def next_near(
 
 @build_once
 def make_flag(real: Any):
-    """Kernel over sampled surface points from `start` on: flags those near which contact is
+    """Kernel over sampled surface points from `start` on: flags points near which contact is
     possible.
 
     `x` contains the current positions of the samples, sorted into `cells`.
@@ -131,8 +133,8 @@ def make_flag(real: Any):
 def make_flag_simd():
     """Kernel over sampled surface points, equivalent to `make_flag`, for float32 on a CPU.
 
-    Comparing all samples, sixteen at a time, is faster than a search in cells for the 1,100 samples
-    of a duck on 32 cells.
+    For a duck on a lattice of 32 cells, with 1,100 samples, comparing all samples, sixteen at a
+    time, is faster than a search in cells.
     """
 
     @kernel("phy124_lattice_flag_simd", wp.float32, seconds=0.4)

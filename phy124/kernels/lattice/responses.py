@@ -72,7 +72,9 @@ the point from the surface, and the friction coefficient.
 
 @wp.func
 def there_and_back(step: int, count: int):
-    """Return the index of the point that a step visits in a pass forwards and then backwards."""
+    """Return the index of the point at a step of a sweep forwards, then backwards, over all
+    points.
+    """
     if step < count:
         return step
     return 2 * count - 1 - step

@@ -152,8 +152,8 @@ def make_solid_touch(shape: str, real: Any, rows: Rows):
 
     For each listed point, `gap_out` receives the normal of the solid and the distance from the
     solid (infinite if out of reach). If a flat body touches an edge of a box, the normal of the
-    body (`side`) is used. The normal of the box, which rotates at the edge, would stop a sliding
-    box. `space_out` is computed as in `make_touch`.
+    body (`side`) is used. The normal of the box changes direction across the edge, so it would stop
+    a sliding box. `space_out` is computed as in `make_touch`.
     """
     t = types(real)
     moved_by, yielding, strike = rows.moved_by, rows.yielding, rows.strike

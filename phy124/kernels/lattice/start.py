@@ -1,7 +1,8 @@
-"""Which points touch a surface at the start of a run.
+"""Decides which points touch a surface at the start of a run.
 
 The surfaces of bodies are known to within one cell only, so surfaces that should touch may start at
-some distance. Round bodies touch in a small area only, and a larger one would make them too stiff.
+some distance. Round bodies touch in a small area only; a larger contact area would make them too
+stiff.
 """
 
 from typing import Any

@@ -69,7 +69,7 @@ def make_shock(real: Any):
     If the volume shrinks at the rate d, the pressure is `QUADRATIC` rho0 (l d)^2 (von Neumann and
     Richtmyer 1950), which spreads a shock over a few cells. The length l is the size of a cell
     times the smallest stretch of the squeezed material, so that the longest stable substep depends
-    only on d. The pressure is limited so that it only removes energy, even in a long kick.
+    only on d. The pressure is limited, so that it only removes energy, even in a long substep.
     """
 
     @kernel(f"phy124_lattice_shock_{real.__name__}", real, seconds=0.4)

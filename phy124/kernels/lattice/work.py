@@ -33,7 +33,7 @@ COUNT = 17
 
 @build_once
 def make_node_work(real: Any):
-    """Kernel over the nodes from `start` on: adds the work of forces to the sum number `at`.
+    """Kernel over the nodes from `start` on: adds the work of forces to the sum with index `at`.
 
     The work of the uniform acceleration is added to the sum `UNIFORM`. Tied nodes move with their
     donors, so forces on tied nodes act on the donors (phy124/kernels/lattice/nodes.py).

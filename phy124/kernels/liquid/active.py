@@ -51,8 +51,7 @@ def widen(
     below_out: Ints,
     above_out: Ints,
 ):
-    """Merge the workers' ranges of cells; extend each column's range to columns within `REACH`
-    along y.
+    """Merge the workers' ranges of cells, and the ranges of all columns within `REACH` along y.
 
     `counts` contains one number for each group of columns.
     """

@@ -1,8 +1,9 @@
 """Couples particle bodies to a liquid: terms of the pressure equation, and the pressure on bodies.
 
-A body moves rigidly (`solids`). In addition, its surface moves with the change of the pressure
-since the last step, like a layer of mass (a Robin condition: Fernandez, Mullaert and Vidrascu
-2013). Without this response, the deformation of a light or soft body would become unstable.
+A body moves rigidly (`solids`). In addition, the change of the pressure since the last step
+accelerates the body's surface like a layer with mass (a Robin condition: Fernandez, Mullaert and
+Vidrascu 2013). Without this response, the deformation of a light or soft body would become
+unstable.
 """
 
 from typing import Any

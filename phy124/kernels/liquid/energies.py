@@ -60,9 +60,8 @@ def pressed_outside(
     axis: int,
     size: wp.vec3i,
 ):
-    """Return the velocity change by the pressure at a face without pressure.
-
-    The change is the mean over adjacent faces with pressure, weighted by mass.
+    """Return the velocity change of a face on which no pressure acts: the mass-weighted mean
+    change, by the pressure, of the adjacent faces on which pressure acts.
     """
     gain = type(velocity[n][axis])(0.0)
     mass = type(gain)(0.0)

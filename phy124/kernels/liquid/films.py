@@ -25,8 +25,8 @@ from phy124.kernels.liquid.walls import centre_of, solid_face
 def make_contact(real: Any):
     """Kernel over a region's cells: computes the area of a body's contact with fixed walls.
 
-    `still` contains the open fraction that each face would have without bodies. The areas have the
-    signs of the rows of `make_jumps`.
+    `still` contains the open fraction that each face would have without bodies. The signs of the
+    areas are as in `make_jumps`.
     """
     t = types(real)
 
@@ -181,8 +181,8 @@ def make_film(real: Any):
 
     The film has the hydrostatic pressure of the liquid around the contact (`rims`, from
     `make_head`). If a cell between body and wall contains liquid, the film has the pressure of the
-    cell. All pressures are converted to the position of the wall, with the distances `fixed` from
-    the fixed walls.
+    cell. The difference in hydrostatic pressure between the cell's centre and the wall is added;
+    `fixed` contains the distances from the fixed walls.
     """
     t = types(real)
 

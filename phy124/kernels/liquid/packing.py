@@ -3,7 +3,8 @@
 The displacements are the gradient of a field that solves a linear system. The system has the matrix
 of the pressure equation, and the density error as its right-hand side (Kugelstadt et al. 2019,
 "Implicit density projection for volume conserving liquids"). Below the surface, only an excess of
-density is corrected. The first row of cells below the surface is compared with a flat surface.
+density is corrected. In the first layer of cells below the surface, the error is the difference
+from a flat surface.
 """
 
 from typing import Any
@@ -41,7 +42,7 @@ def leads_behind(step: int, low: int, high: int):
 
 @build_once
 def make_excess(real: Any):
-    """Kernel over cells: computes the density error of each cell that is removed in this step.
+    """Kernel over cells: computes the part of each cell's density error that this step corrects.
 
     Cells inside a wall have no unknown in the linear system, so their error is added to the cell in
     front of the wall, or in front of all walls at an edge or corner.

@@ -25,7 +25,9 @@ COMPRESSIBLE = wp.constant(1.0e-6)
 
 @wp.func
 def beyond(here: Any, there: Any):
-    """Return a cell's distance from the liquid's surface, relative to the distance of two cells."""
+    """Return the distance from a cell's centre to the surface, as a fraction of the cell
+    spacing.
+    """
     if here >= type(here)(0.0):
         return type(here)(NEAREST)
     apart = here - there

@@ -103,8 +103,8 @@ def raw_level(full: wp.array(dtype=Any), shares: wp.array(dtype=Any), n: int, dx
 
 @wp.func
 def way_out(shares: wp.array(dtype=Any), n: int, size: wp.vec3i):
-    """Return the step from a cell inside walls to that of its 26 neighbours that is out of the
-    walls.
+    """Return the index step from a cell inside walls to the one of its 26 neighbours that lies in
+    the direction out of the walls.
     """
     slopes = wp.vector(type(shares[n][1])(0.0), type(shares[n][1])(0.0), type(shares[n][1])(0.0))
     for axis in range(3):
@@ -245,9 +245,8 @@ def make_body_distance(real: Any):
 
 @build_once
 def make_body_openings(real: Any):
-    """Kernel over a region's cells: multiplies open fractions by those that a body leaves open.
-
-    These are the open fractions of the low faces and of the eighths of each cell.
+    """Kernel over a region's cells: multiplies open fractions by the fraction outside a body, for
+    the low faces and the eighths of each cell.
     """
     t = types(real)
 

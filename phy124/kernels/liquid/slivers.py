@@ -1,9 +1,10 @@
-"""Finds slivers between oblique walls and the surface, whose liquid viscosity ties to the rest.
+"""Finds slivers of liquid between oblique walls and the surface, in which viscosity dominates.
 
-A wall without friction that is oblique to the cells holds no faces, so the viscous step leaves the
-flow into it (viscous.py). The pressure alone then stops this flow, and would throw the light liquid
-in slivers out as jets, which viscosity prevents in reality. The velocities of these faces are
-therefore extrapolated (spread.py). The same applies to freely moving walls.
+In the viscous step, a wall without friction that is oblique to the cells prescribes no velocities
+of faces, so the step does not stop the flow into the wall (viscous.py). The pressure alone would
+stop this flow, and expel the liquid in slivers as jets. In reality, viscosity prevents such jets.
+The velocities of faces in slivers are therefore extrapolated (spread.py). Slivers at freely moving
+walls are treated in the same way.
 """
 
 from typing import Any
@@ -23,9 +24,9 @@ LIGHT = wp.constant(0.25)
 def make_slivers(real: Any):
     """Kernel over cells: removes the bits of faces in slivers from `known_out`.
 
-    A face next to a wall that holds no face is in a sliver if its mass is below `LIGHT`, and below
-    dt eta / (rho dx^2), so that viscosity determines its velocity. `viscosity` is eta / (rho dx^2)
-    [1/s] for a relative density and viscosity of 1.
+    A face is in a sliver if the nearby wall prescribes no velocities of faces, and if the mass of
+    the face is below `LIGHT` and below dt eta / (rho dx^2), so that viscosity determines its
+    velocity. `viscosity` is eta / (rho dx^2) [1/s] for a relative density and viscosity of 1.
     """
 
     @kernel(f"phy124_liquid_slivers_{real.__name__}", real, seconds=0.3)

@@ -41,7 +41,7 @@ from phy124.kernels.liquid.walls import centre_of, part_of_solid, wall_across
 
 @build_once
 def make_motions(real: Any):
-    """Kernel over walls that move along a track: computes each wall's mean velocity in a step."""
+    """Kernel over walls with a prescribed motion: computes each wall's mean velocity in a step."""
     t = types(real)
 
     @kernel(f"phy124_liquid_motions_{real.__name__}", real, seconds=0.15)
@@ -77,11 +77,10 @@ def lever(R: wp.mat33d, levers: wp.vec3d, w: wp.vec3d):
 
 @build_once
 def make_jumps(real: Any):
-    """Kernel over cells: computes the rows of J, fluxes per velocity and angular velocity of a
-    solid.
+    """Kernel over cells: computes the rows of J, for the velocity and angular velocity of a solid.
 
-    `wall` is the index of the first wall that is a solid; all later walls are solids as well. In a
-    cell that both a freely moving solid and another wall cut, only the part of the solid counts.
+    `wall` is the index of the first wall that is a solid; all later walls are solids as well. If
+    both a freely moving solid and another wall cut a cell, only the surface of the solid counts.
     """
 
     @kernel(f"phy124_liquid_jumps_{real.__name__}", real, seconds=0.2)
@@ -196,8 +195,8 @@ def make_kick(real: Any):
     """Single-thread kernel: applies gravity to a solid; writes its motion, mobility and centre.
 
     `scale` is rho dx^3 [kg]. The mobility consists of scale / M and of the matrix scale I^-1 for
-    the inertia I. The liquid neither turns the solid about an axis whose `levers` are 0
-    (`FreeBody.levers`), nor feels this rotation.
+    the inertia I. If a component of `levers` is 0 (`FreeBody.levers`), the liquid does not rotate
+    the solid about this axis, and such a rotation does not move the liquid.
     """
 
     @kernel(f"phy124_liquid_kick_{real.__name__}", real, seconds=0.3)

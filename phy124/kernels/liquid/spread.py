@@ -1,10 +1,10 @@
 """Extrapolates velocities to faces beyond the liquid, for particles near the surface and walls.
 
-The velocity of a face with mass changes like the velocities of its known neighbours, so the face
-keeps its own momentum instead of losing it once per step. Viscosity reduces the difference from the
-neighbours. Faces without mass, and faces inside freely moving bodies, get the mean velocity of
-their known neighbours, layer by layer. Faces inside walls lose the velocity component normal to the
-wall; wall friction acts on the first layer of faces (docs/design/liquids.md).
+The velocity of a face with mass changes by as much as the mean velocity of its known neighbours, so
+the face keeps its momentum from step to step. Viscosity reduces the difference from the neighbours.
+Faces without mass, and faces inside freely moving bodies, get the mean velocity of their known
+neighbours, layer by layer. Faces inside walls lose the velocity component normal to the wall; wall
+friction acts on the first layer of faces (docs/design/liquids.md).
 """
 
 from typing import Any

@@ -226,7 +226,7 @@ def relax(
     """Take a step along s in parts of the list of cells, and precondition the residual.
 
     `product_out` contains A s, and receives the preconditioned residual. The residuals of faces
-    that are not unknown stay zero, because their `inverse` is zero.
+    with prescribed velocities stay zero, because their `inverse` is zero.
     """
     p = part + wp.tid()
     span = share(count_of(counts), p, counts.shape[0])

@@ -31,8 +31,8 @@ RIM = wp.constant(0.1)
 def depth(fill: Any):
     """Return the depth below a flat surface [cells] of a B-spline with a certain fill.
 
-    The fill at depth T is (T + 3/2)^3 / 6 below -1/2, 1/2 + 3 T / 4 - T^3 / 3 between -1/2 and 1/2,
-    and 1 - (3/2 - T)^3 / 6 above.
+    The fill at depth T is (T + 3/2)^3 / 6 for T < -1/2, 1 - (3/2 - T)^3 / 6 for T > 1/2, and 1/2 +
+    3 T / 4 - T^3 / 3 for T between -1/2 and 1/2.
     """
     unit = type(fill)(1.0)
     sixth = unit / type(fill)(6.0)

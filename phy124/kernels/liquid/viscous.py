@@ -44,7 +44,9 @@ from 0 to 4/3: a free liquid resists uniform compression with 2/3, and short wav
 
 @wp.func
 def foot_of(cell: wp.vec3i, axis: int, lattice: Any, low: wp.vec3i, apart: Any, normal: Any):
-    """Return the point of a wall next to a cell's low face, whose distance is `apart` [m]."""
+    """Return the point of a wall that is nearest to the middle of a cell's low face, `apart` [m]
+    away.
+    """
     x = centre_of(cell, lattice, low)
     x[axis] = x[axis] - type(apart)(0.5) * lattice[3]
     return x - apart * normal
@@ -60,10 +62,11 @@ def face_point(cell: wp.vec3i, axis: int, size: wp.vec3i):
 
 @build_once
 def make_hold(real: Any):
-    """Kernel over cells: finds the unknowns and the faces with the velocity of a wall.
+    """Kernel over cells: finds the faces with unknown velocities and the faces that move with a
+    wall.
 
     `known` contains a bit for each face with mass. Walls from the index `solid` on move freely, and
-    hold no faces. All arrays of the solution are reset.
+    prescribe no velocities of faces. All arrays of the solution are reset.
     """
 
     @kernel(f"phy124_liquid_hold_{real.__name__}", real, seconds=0.4)
@@ -140,7 +143,8 @@ def inverse_span(
     shear: int,
     size: wp.vec3i,
 ):
-    """Return the factor of the velocity difference of two faces in a strain rate [1/cells].
+    """Return the factor that converts a velocity difference of two faces to a strain rate
+    [1/cells].
 
     The factor is 0 if a face has no velocity, and above 1 if a wall is between the faces. A wall
     without friction causes no `shear`.
@@ -203,7 +207,8 @@ def below(phi: Any):
 def filled_face(phi: wp.array(dtype=Any), liquid: wp.array(dtype=int), n: int, m: int):
     """Return the filled fraction of the volume between the centres of two cells.
 
-    At the surface, it equals the distance over which the pressure falls (pressure.py).
+    At the surface, the fraction equals the distance [cells] over which the pressure falls to zero
+    (pressure.py).
     """
     wet = item(liquid, n) + item(liquid, m)
     if wet == 1 and item(liquid, n) == 1:
@@ -218,8 +223,8 @@ def make_weigh(real: Any):
     """Kernel over cells: computes the weights of the faces and of the strain rates of each cell.
 
     A cell has three normal strain rates, and the shear rates at the three edges at its lowest
-    corner. With the velocity differences a and b of two pairs of faces, the stress at an edge is
-    that of the strain `first` a + `second` b. `wet_out` is 1 for cells whose weights are not zero.
+    corner. At an edge, the strain is `first` a + `second` b, where a and b are the velocity
+    differences of two pairs of faces. `wet_out` is 1 for cells whose weights are not zero.
     `viscosity` is eta / (rho dx^2) [1/s] for a relative density and viscosity of 1.
     """
     t = types(real)
@@ -393,7 +398,7 @@ def make_resist(real: Any):
 
 @wp.func
 def loose_wall(open: wp.array(dtype=Any), states: wp.array(dtype=int), n: int, size: wp.vec3i):
-    """Return whether a cell contains a part of a wall that holds none of the cell's faces."""
+    """Return whether a wall in a cell prescribes the velocity of none of the cell's faces."""
     result = bool(False)
     for axis in range(3):
         m = n + stride(axis, size)
@@ -405,10 +410,10 @@ def loose_wall(open: wp.array(dtype=Any), states: wp.array(dtype=int), n: int, s
 
 @build_once
 def make_bulk(real: Any):
-    """Kernel over cells: computes the pressure of the bulk strain that the viscous step leaves.
+    """Kernel over cells: computes a pressure from the divergence left by the viscous step.
 
-    It is not known in a cell with a wall that holds no face, since this wall limits the flow only
-    in the next step.
+    The result is 0 in a cell whose wall prescribes no velocities of faces, since this wall limits
+    the flow only in the pressure solution.
     """
 
     @kernel(f"phy124_liquid_bulk_{real.__name__}", real, seconds=0.3)
@@ -451,7 +456,9 @@ def make_bulk(real: Any):
 
 @build_once
 def make_release(real: Any):
-    """Kernel over cells: subtracts the pressure of the bulk strain once from the pressure."""
+    """Kernel over cells: subtracts the pressure of `make_bulk` from the pressure, then resets
+    it.
+    """
 
     @kernel(f"phy124_liquid_release_{real.__name__}", real)
     def release(worker, active, ends, pressure_out, excess_out: Doubles):

@@ -218,10 +218,11 @@ def wall_across(
 
 @wp.func
 def part_of_solid(jump: Any, covers: wp.array(dtype=Any), n: int, step: int, axis: int):
-    """Return the part of the jump between a cell's two faces that a freely moving solid causes.
+    """Return the part of the difference of two opposite faces' open fractions due to a freely
+    moving solid.
 
     `covers` contains the fraction of each low face that the solid closes (`make_openings`). The
-    rest of the jump is due to another wall, such as the floor below the solid.
+    rest of the difference is due to another wall, such as the floor below the solid.
     """
     part = covers[n][axis] - covers[n + step][axis]
     if part != type(jump)(0.0) and wp.abs(jump - part) < type(jump)(SHUT):
@@ -335,7 +336,8 @@ def make_openings(shape: str, real: Any):
 
 @build_once
 def make_eighths(shape: str, real: Any):
-    """Kernel over the eight octants of each cell: multiplies open fractions by those of each wall.
+    """Kernel over the eight octants of each cell: multiplies open fractions by each wall's open
+    fraction.
 
     The product is exact if the walls are perpendicular to each other. The kernel has the same
     arguments as the kernel of `make_wall_distance`.

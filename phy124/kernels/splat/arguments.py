@@ -1,7 +1,7 @@
 """Declares the type and meaning of each argument of the kernels that draw Gaussians.
 
-A kernel states only types that no other kernel uses. A written array has the name of the read
-array, followed by `_out`.
+A kernel's signature states the types only of arguments that no other kernel uses. A written array
+has the name of the read array, followed by `_out`.
 """
 
 from typing import Any

@@ -320,10 +320,10 @@ def chance(n: int) -> float:
 
 @wp.func
 def row_distance(means: wp.array(dtype=wp.vec3), rows: wp.array3d(dtype=int), n: int) -> float:
-    """Return the distance from a Gaussian to its farthest neighbour in the rows at rest, m.
+    """Return the largest distance [m] between a Gaussian and its neighbours in the rows at rest.
 
-    Neighbours count only while the Gaussian is between them, because only then has the liquid been
-    stretched evenly.
+    Two neighbours count only if the Gaussian is still near their midpoint: only then has the liquid
+    been stretched evenly.
     """
     apart = float(0.0)
     for axis in range(3):

@@ -22,7 +22,9 @@ C3 = wp.constant(wp.types.vector(7, float)(*SH_C3))
 
 @wp.func
 def colour_towards(sh: wp.array2d(dtype=wp.vec3), i: int, degree: int, d: wp.vec3) -> wp.vec3:
-    """Return the unclamped colour of Gaussian i along direction d; signs as in phy124.gaussians."""
+    """Return the unclamped colour of Gaussian i seen along d; see phy124.gaussians for the
+    signs.
+    """
     rgb = wp.vec3(0.5, 0.5, 0.5) + C0 * sh[i, 0]
     if degree > 0:
         x = d[0]
