@@ -3,7 +3,7 @@
 For a maximum error, grids are run from coarse to fine; each grid has at most 1.5 times as many
 cells across the object as the grid before. After three grids, the order of convergence and the
 errors are estimated. Coarse grids on which the run stops early are left out. The next grid is the
-coarsest that is predicted to meet the goal. If the material tears on a grid, the grid is repeated
+coarsest that is predicted to meet the goal. If the material tears on a grid, the run is repeated
 with one more particle per cell and axis.
 
 For a maximum time, the scene is run on the finest grid whose predicted time is within the maximum.
@@ -298,8 +298,8 @@ def in_time(
     crop: Crop = WHOLE,
     forecaster: Forecaster | None = None,
 ) -> tuple[Scene, Forecast]:
-    """Return the scene on the finest grid whose predicted time is short enough, and the forecast
-    with the time in which particles were made for all grids of the search.
+    """Return the scene on the finest grid whose predicted time is short enough, and the forecast.
+    The forecast includes the time to make the particles of all grids that were tried.
 
     Args:
         goal: The maximum time.
@@ -392,8 +392,8 @@ def _drop_refused(
 ) -> list[int]:
     """Return the grids that may be possible although the grid with this number of cells is refused.
 
-    These are coarser grids if it is too fine, or else finer grids. If no grid was possible so far,
-    they begin with the scene's own grid.
+    If the refused grid is too fine, the result is the coarser grids, otherwise the finer grids. If
+    no grid was possible so far, the result begins with the scene's own grid.
     """
     if isinstance(refusal, TooFine) or any(n < cells for n in tried):
         return [n for n in grids if n < cells]

@@ -2,8 +2,8 @@
 
 The estimated error is the RMS distance between the two runs times a factor, and the error bound is
 the distance times a larger factor. The factors were measured on many objects
-(docs/lab/own-error.md). Whether a companion run is made does not depend on measured times, so that
-equal runs have equal reports.
+(docs/lab/own-error.md). The decision to make a companion run does not depend on measured times, so
+that equal runs have equal reports.
 """
 
 import math
@@ -251,7 +251,7 @@ def factors_of(scene: Scene, cells: int) -> Factors:
 def estimate(
     distances: NDArray, times: NDArray, factors: Factors, expected: float | None = None
 ) -> tuple[float | None, float | None, float | None]:
-    """Estimate the first three values of `OwnError`.
+    """Estimate a run's error, the error bound, and the time [s] until which they hold.
 
     Args:
         distances: RMS distance between the two runs in each frame [T], relative to the size.

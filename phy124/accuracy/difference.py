@@ -36,7 +36,7 @@ class Difference:
 def difference(clip: Clip, reference: Clip, view: View, *, device: str = "cpu") -> Difference:
     """Compare two clips that show one object at the same times.
 
-    Grains are ignored, and distances do not count surroundings.
+    Grains are ignored. Distances are measured only for the object, not for its surroundings.
 
     Args:
         clip: The first clip.

@@ -1,4 +1,4 @@
-"""Measures the times of videos for a forecast, by a few frames in one view."""
+"""Measures rendering and encoding of a few frames in one view, to forecast the times of videos."""
 
 import tempfile
 from functools import partial
@@ -58,8 +58,8 @@ def time_film(setup: Setup, context: RunContext) -> dict[str, float]:
 
 
 def _fraction_of_surfaces(clip: Clip, view: View) -> float:
-    """Return the fraction of the time of highlights and reflections that all views share, because
-    the surfaces of the materials do not depend on the view.
+    """Return the fraction of the time for highlights and reflections that is spent only once for
+    all views: the materials' surfaces do not depend on the view.
     """
     shine = make_shine(clip, view)
     if shine is None:

@@ -1,9 +1,9 @@
 """Forecasts the time of a run before it starts.
 
-The time [s] is substeps * (a * particles + b * nodes) + frames * (shapes + views * pictures). The
-rates a and b are measured in trial runs. The number of substeps comes from a pilot run on a coarse
-grid (`phy124.accuracy.probe`). The forecast is less reliable if the particles' speed limits the
-substep.
+The time [s] is substeps * (a * particles + b * nodes) + frames * (c + views * d). Here c is the
+time to deform the Gaussians in a frame, and d the time to render and encode a picture. All four are
+measured in trial runs. The number of substeps comes from a pilot run on a coarse grid
+(`phy124.accuracy.probe`). The forecast is less reliable if the particles' speed limits the substep.
 """
 
 from __future__ import annotations
@@ -332,8 +332,9 @@ def pixels_per_size(scene: Scene) -> float:
 
 
 def _look(setup: Setup) -> tuple[Any, ...]:
-    """Return the materials that have highlights, shadows or surfaces of their own, and the side of
-    a cell [m], which determines these surfaces. The result is empty without such materials.
+    """Return the materials that are rendered in a special way, with highlights, shadows or an
+    extracted surface, and the side of a cell [m], on which such surfaces depend. The result is
+    empty without such materials.
     """
     drawn = [m for m in setup.materials if m.redrawn]
     materials = tuple(section.model_dump_json() for section in drawn)

@@ -69,7 +69,8 @@ class Goal:
 
 
 def refuse_forecast(goal: Goal | None, wanted: bool, field: str) -> None:
-    """Refuse to forecast a run whose goal is an error; `field` is the option that asks for it.
+    """Refuse a forecast (`wanted`) if the run's goal is an error; `field` is the option for a
+    forecast.
 
     Raises:
         InputError: A forecast is wanted, and the goal is an error.
@@ -106,7 +107,7 @@ def describe_goal(goal: Mapping[str, Any], seconds: float) -> str:
 def explain_time(
     goal: Goal, scene: Scene, cells: int, forecast: Forecast, ready: float
 ) -> InputError:
-    """Return an exception, which says that the time is too short even for the coarsest grid.
+    """Return an exception: the time is too short even for the coarsest grid.
 
     Args:
         goal: The maximum time.

@@ -433,7 +433,7 @@ def substeps_at_rest(solver: AnySolver) -> float:
 
 
 def _list_solvers(solver: AnySolver, *names: str) -> list[Any]:
-    """Return a solver, and the named solvers that it contains; without names, that of a liquid."""
+    """Return a solver and the named solvers inside it; by default, the solver of its liquid."""
     parts = (getattr(solver, name, None) for name in names or ("liquid",))
     return [solver, *(part for part in parts if part is not None)]
 

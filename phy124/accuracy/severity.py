@@ -24,7 +24,7 @@ def violence(scene: Scene, thickness: float | None = None) -> float:
     """Return the severity of a scene, 2 e / c^2 + s^2.
 
     Here e is the energy per mass (`energy` returns 2 e), c the speed of waves in a bar of the
-    softest material, and s the deformation by walls and hands, relative to the object's size.
+    softest material, and s the deformation by presses and grabs, relative to the object's size.
     `thickness` is the local thickness, relative to the size.
     """
     slowest = min(bar_speed(section) for section in scene.materials)
@@ -83,7 +83,7 @@ def find_difference(scene: Scene) -> str:
 
 
 def _strain(scene: Scene) -> float:
-    """Return the largest deformation by a press or a hand, relative to the object's size."""
+    """Return the largest deformation by a press or a grab, relative to the object's size."""
     presses = [wall.depth for wall in scene.boundaries if isinstance(wall, Press)]
     held = any(wall.holds for wall in scene.boundaries)
     hands = [force.target() for force in scene.acting if isinstance(force, Grab) and held]

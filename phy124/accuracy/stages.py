@@ -61,9 +61,10 @@ def average_stages(timings: Timings, substeps: int, total: float) -> dict[str, S
 def predict_substep(moving: Stages, resting: Stages, probe: Stages, growth: Growth) -> float:
     """Predict the mean time of a substep in a run [s].
 
-    A call takes as many times longer in motion as in the pilot run, but at least `growth.cells`
-    times as long as in the pilot run, because the number of surface points along a line is
-    proportional to the number of cells: at rest, the objects may not touch.
+    The time of a call at rest is multiplied by the pilot run's ratio of the times in motion and at
+    rest. The result is at least `growth.cells` times the pilot run's time of the call: at rest, the
+    objects may not touch, and the number of surface points along a line is proportional to the
+    number of cells.
 
     Args:
         moving: The stages of the whole motion on a coarse grid.
@@ -89,8 +90,8 @@ def predict_substep(moving: Stages, resting: Stages, probe: Stages, growth: Grow
 
 
 def _calls_in_liquid(name: str, calls: float, growth: Growth) -> float:
-    """Return the calls per substep; a liquid that spreads reaches the border of its window after a
-    number of cells.
+    """Return the calls per substep. The window of a liquid that spreads is enlarged each time that
+    the liquid has moved a certain number of cells.
     """
     grown = growth.cells if name == LIQUID + WINDOW else growth.steps
     return calls * grown / growth.substeps

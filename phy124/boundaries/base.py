@@ -313,8 +313,8 @@ class Movable(Boundary):
 def lightest(model: Model, run: slice) -> float:
     """Return the mass [kg] of a node that is full of the lightest material of a body.
 
-    The result is infinite if no material of the body yields and all are equally dense. `run` are
-    the body's particles. Other bodies have grids of their own.
+    The result is infinite if no material of the body yields and all are equally dense. `run`
+    contains the body's particles. Other bodies have grids of their own.
 
     In a material that yields, cells may contain up to 1.6 times as many particles as at rest
     without being compressed. Elastic material is always compressed in a cell that

@@ -216,8 +216,9 @@ def count_nodes(scene: Scene) -> int:
 def largest_speed(scene: Scene) -> float:
     """Estimate the largest speed of objects and walls [m/s].
 
-    The speed of an object is its initial speed, plus the speeds that forces cause suddenly, plus
-    the gain by accelerations in at most `ACCELERATED`. Wind causes at most its own speed.
+    The speed of an object is its initial speed, plus the speeds due to impulses, plus the
+    accelerations multiplied by their duration, which counts up to `ACCELERATED` [s]. Wind causes at
+    most its own speed.
     """
     speed = max(
         math.hypot(*body.velocity) + math.hypot(*body.spin) * body.size / 2

@@ -104,9 +104,9 @@ def _end_motion(scene: Scene, time: float) -> Remedy | None:
 
 
 def _change_solver(scene: Scene) -> Remedy | None:
-    """Propose particles instead of lattices. In a liquid, propose lattices instead of particles:
-    the vibrations of a light ball of particles that a lid held under water grew until the run
-    stopped, but on a lattice they decayed.
+    """Propose particles instead of lattices. In a liquid, propose lattices instead of particles. In
+    a test, a lid held a light ball under water: as particles, the ball vibrated more and more until
+    the run stopped; on a lattice, the vibrations decayed.
     """
     if scene.on_lattice:
         return change_accuracy(scene, solver="mpm")

@@ -138,7 +138,9 @@ class SceneOptions:
     """Print only the report, as JSON."""
 
     def resolve(self) -> Scene:
-        """Return the scene with all changes, or raise InputError; the default stage is `studio`."""
+        """Return the scene with all changes; if neither the scene nor an option sets a stage, it is
+        `studio`.
+        """
         chosen = {
             "accuracy": self.accuracy,
             "time.frames": self.frames,

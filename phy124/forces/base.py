@@ -104,7 +104,9 @@ class Force(Section):
         return model.free_mass if self.uniform else 0.0
 
     def shares(self, rest: NDArray) -> NDArray[np.float64]:
-        """Return the force's fraction on each particle [P]; `rest` [P,3], m, are rest positions."""
+        """Return the weight of the force on each particle, 0 to 1 [P]; `rest` [P,3] are rest
+        positions [m].
+        """
         inside = np.ones(len(rest)) if self.region is None else self.region.contains(rest)
         return np.asarray(inside, np.float64)
 

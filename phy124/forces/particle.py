@@ -61,8 +61,8 @@ class Wind(Force):
 
 
 class Attraction(Force):
-    """A point that attracts or repels material: in proportion to the distance d, or to 1 / d^2
-    outside `radius`.
+    """A point that attracts or repels material. The acceleration is proportional to the distance d
+    up to `radius`, and to 1 / d^2 beyond it.
     """
 
     kind: Literal["attraction"] = "attraction"

@@ -141,7 +141,7 @@ class Command:
 
 
 def _is_other(file: Path) -> bool:
-    """Whether a file is of a kind that contains no object, such as the materials of a mesh."""
+    """Whether a file's ending shows that it contains no object, such as a mesh's material file."""
     return file.suffix.lower() not in object_endings()
 
 

@@ -287,8 +287,8 @@ def _factor(material: Any) -> NDArray[np.float64]:
 
 
 def _join_corners(pieces: list[Trimesh]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the corners [F,3,3] of all triangles, and their normals [F,3], whose lengths are the
-    areas relative to the square of a unit near the longest side.
+    """Return the corners [F,3,3] of all triangles, and normals [F,3] whose lengths are the
+    triangles' areas divided by the square of a length close to the longest side.
     """
     for piece in pieces:
         if piece.faces.min() < 0 or piece.faces.max() >= len(piece.vertices):
@@ -357,7 +357,8 @@ def _split(
 ) -> Iterator[tuple[Trimesh, NDArray[np.bool_], NDArray[np.int64]]]:
     """Yield each mesh, a mask of its points [N], and the triangles of these points.
 
-    The triangles of all meshes are numbered consecutively; `chosen` [N] has those of the points.
+    The triangles of all meshes are numbered consecutively; `chosen` [N] contains the number of each
+    point's triangle.
     """
     ends = np.cumsum([0, *(len(piece.faces) for piece in pieces)])
     for piece, start, stop in zip(pieces, ends, ends[1:], strict=False):

@@ -218,10 +218,11 @@ def _find_embedded(
 
 
 def _choose_coordinates(tree: dict[str, Any]) -> dict[str, dict[str, Any]]:
-    """Let trimesh read the texture coordinates that the materials of glTF use.
+    """Make trimesh read the texture coordinates that the file's materials use.
 
-    trimesh reads only the first coordinates, and no transforms. The materials with other
-    coordinates or a transform are renamed; returns the transforms by the new names.
+    trimesh reads only the first set of coordinates, and ignores texture transforms. The coordinates
+    are therefore swapped. Materials with another set or a transform are renamed. Returns the
+    transforms by the new names.
     """
     placed: dict[str, dict[str, Any]] = {}
     materials = tree.get("materials", [])

@@ -68,7 +68,7 @@ ROUNDS = 2
 
 
 class Work(NamedTuple):
-    """Numbers of floating-point operations, or of such operations per second."""
+    """Numbers of floating-point operations, or numbers of operations per second."""
 
     linear: float
     convolution: float

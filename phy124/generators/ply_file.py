@@ -189,7 +189,7 @@ class PlyFile:
         )
 
     def _hint(self, content: Content) -> None:
-        """Warn if the file seems to have an unusual dialect and no option about axes is set."""
+        """Warn if the file seems to use another program's axes, and no option about axes is set."""
         axes = self.reading.model_dump(include={"up", "front", "dialect", "rotate"})
         if axes != NO_AXES or content.axes != Y_DOWN or recognise(Path(self.path)).name != "ply":
             return
@@ -248,8 +248,8 @@ def unit_transform(gaussians: Gaussians, name: str) -> tuple[float, NDArray[np.f
 def robust_bounds(gaussians: Gaussians) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the smallest and largest coordinates [3], [3] of the centres, ignoring outliers.
 
-    The bounds include all Gaussians within `MARGIN` core sizes of the core. Without outliers, the
-    bounds are therefore exact.
+    The bounds include all Gaussians whose distance from the core is at most `MARGIN` times the size
+    of the core. Without outliers, the bounds are therefore exact.
     """
     means = gaussians.means.astype(np.float64)
     low = weighted_quantile(means, gaussians.opacities, TAIL)

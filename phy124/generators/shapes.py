@@ -139,7 +139,9 @@ def _spread(points: NDArray, normals: NDArray) -> NDArray[np.float64]:
 
 
 def _area(half: NDArray) -> float:
-    """Return the surface area [m^2] of a box with half the sides `half`; other shapes have less."""
+    """Return the surface area [m^2] of a box with the half side lengths `half`, an upper bound for
+    the other shapes.
+    """
     a, b, c = 2 * half
     return float(2 * (a * b + b * c + c * a))
 

@@ -112,7 +112,7 @@ def _place(means: NDArray[np.float64], seen: NDArray) -> _Around | None:
 def _part(
     means: NDArray[np.float64], seen: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the corners of a small box with the fraction `MOST` of the area `seen` [N]."""
+    """Return the corners of a small box that contains the fraction `MOST` of the visible area."""
     part = np.ones(len(means), bool)
     for _ in range(ROUNDS):
         middle = np.array([_median(axis, seen[part]) for axis in means[part].T])

@@ -267,7 +267,9 @@ class Clip:
         return finite_rows(self.opacities) & np.all([finite_rows(a) for a in arrays], axis=0)
 
     def with_motion(self, motion: Motion) -> Clip:
-        """Return a copy whose file stores a motion instead of the arrays in `DESCRIBED`."""
+        """Return a copy whose file stores a motion, from which the arrays `DESCRIBED` are
+        computed.
+        """
         return replace(self, motion=replace(motion, describes=self._arrays_of_motion()))
 
     def _arrays_of_motion(self) -> tuple[Any, ...]:

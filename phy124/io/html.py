@@ -1,10 +1,10 @@
 """Writes a clip as one HTML file, and packs clips for the player in the browser.
 
-The HTML file contains a P4D file (phy124/io/formats/lattice4d.py) or, if the motion of a lattice
-does not describe the shapes of the Gaussians, as in fluids, a pack. A pack is the gzip of: header
-length (uint32, little-endian), header (JSON), then the arrays below. Arrays are planar (component
-after component). Arrays that change over time (T) store the differences between frames, modulo the
-range of the type, because gzip compresses differences much better:
+The HTML file contains a P4D file (phy124/io/formats/lattice4d.py). If the motion of a lattice
+cannot reproduce the Gaussians' shapes, as in fluids, the HTML file contains a pack instead. A pack
+is the gzip of: header length (uint32, little-endian), header (JSON), then the arrays below. Arrays
+are planar (component after component). Arrays that change over time (T) store the differences
+between frames, modulo the range of the type, because gzip compresses differences much better:
 
     colour    [N,4]     uint8    red, green, blue, opacity; harmonics of degree 0 only
     rest      [N,3]     float32  scales at rest, m

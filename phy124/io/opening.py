@@ -64,7 +64,9 @@ def obstacle(path: PathLike) -> tuple[str, str] | None:
 
 
 def stand_in(head: bytes) -> tuple[str, str] | None:
-    """Return the description and the remedy for a text that was saved instead of a file."""
+    """Recognise a text, such as a web page, that was saved instead of the intended file; return its
+    description and the remedy.
+    """
     head = head[:HEAD].lower()
     return next((words for sign, words in STAND_INS.items() if head.startswith(sign)), None)
 

@@ -63,7 +63,9 @@ class Rendering:
     """Radius of three standard deviations on screen [N], pixels; 0 for invisible Gaussians."""
 
     def screen_gradients(self) -> Tensor:
-        """Return the loss's gradients [N,2] for the centres, in units of half the image."""
+        """Return the loss's gradients [N,2] with respect to the centres, in units of half the
+        image.
+        """
         height, width = self.alpha.shape
         gradient = self.centres.grad
         if gradient is None:

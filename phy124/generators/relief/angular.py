@@ -1,7 +1,7 @@
 """Recognises objects with straight vertical and horizontal edges: appliances, buildings, clothes.
 
-A solid of revolution has few horizontal edges between the ends, and light changes the brightness
-from one side to the other.
+A solid of revolution, in contrast, has few horizontal edges between its ends, and its brightness
+changes from left to right.
 """
 
 import cv2

@@ -134,8 +134,8 @@ def board_shell(
 
 
 def _edge_rays(solid: Mask, middle: Field, camera: Raised, step: int) -> tuple[Field, Field]:
-    """Return the view rays along the outline [N,3], as long as the camera's distance, and the
-    outward normals [N,3] of the cuts.
+    """Return the view rays [N,3] along the outline, and the outward normals [N,3] of the surfaces
+    that the rays cut. The depth of each ray is the camera's distance.
     """
     outlines, _ = cv2.findContours(solid.astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
     pixels = np.concatenate([line[::step, 0] for line in outlines])

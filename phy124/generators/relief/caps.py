@@ -39,7 +39,7 @@ class Plane:
     def rows(self, columns: Field, z: Field) -> tuple[Field, NDArray[np.bool_]]:
         """Return the rows [N] of the face, and whether the rows are bevelled.
 
-        `columns` [N] are before projection, and `z` [N] is towards the camera.
+        `columns` [N] are coordinates before projection; `z` [N] increases towards the camera.
         """
         flat = self.level / self.view.k(z) + self.view.middle[1]
         outline = np.interp(columns, np.arange(len(self.outline)), self.outline)

@@ -1,9 +1,8 @@
 """Finds the legs and wheels of objects seen from the side, and puts them on both sides.
 
 The object is symmetric about the image plane, so legs and wheels are in pairs on both sides of the
-plane. The arch is the largest gap between the parts on the ground. Under a wide arch, there are
-forelegs on one side and hind legs on the other. A pointed arch is between two single legs, such as
-those of a bird.
+plane. The arch is the largest gap between the parts on the ground. A wide arch separates the
+forelegs from the hind legs. A pointed arch separates two single legs, such as those of a bird.
 """
 
 from __future__ import annotations

@@ -67,13 +67,17 @@ class Ring:
         return unit * [self.wide, self.high] + [self.radius, self.height]
 
     def image(self) -> Field:
-        """Return the places of the surface, relative to the image's centre [A,SECTION,2]."""
+        """Return the surface points projected to the image, relative to its centre
+        [A,SECTION,2].
+        """
         ring = np.tile(self.path, (len(AROUND), 1))
         points = revolve(ring, np.repeat(AROUND, len(SECTION)))
         return self.camera.pixels(points).reshape(len(AROUND), len(SECTION), 2)
 
     def edges(self) -> Field:
-        """Return half the width, top and bottom of the outline, then the same of the hole [6]."""
+        """Return half the width, the top and the bottom of the outline, then those of the hole
+        [6].
+        """
         column, row = np.moveaxis(self.image(), 2, 0)
         across = np.linspace(0, column.max(), len(AROUND))
         quarter = len(AROUND) // 4

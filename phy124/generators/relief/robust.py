@@ -8,7 +8,7 @@ ROUNDS = 10
 
 
 def fit_most(known: Field, values: Field, noise: float) -> list[float]:
-    """Fit values [N] by columns [N,C] with the least absolute errors; return the coefficients.
+    """Fit values [N] by a linear combination of columns [N,C] with the least absolute errors.
 
     Args:
         known: The columns.

@@ -138,8 +138,8 @@ def find_shoulder(picture: Continued) -> Shoulder | None:
 
 
 def _is_body(solid: Mask, row: int, first: int, last: int, depth: int) -> bool:
-    """Whether the columns `first` to `last` of a row are the upper end of a high body. `depth` rows
-    below, the body must hardly be wider.
+    """Whether the columns `first` to `last` of a row are the upper end of a high body. The body
+    must be hardly wider at `depth` rows below this row.
     """
     start, end = _longest_run(solid[row + depth])
     if last - first < CORNERED * (end - start):

@@ -255,8 +255,8 @@ def _is_shaded(picture: Continued, round_: Field) -> bool:
     """Whether the brightness changes as on a shaded round object.
 
     The brightness is fitted by the normals of a round object. Only the coefficient of the component
-    towards the camera counts, because flat objects may also be brighter at one side. Bands are
-    removed by the median of each row, and frames are excluded.
+    towards the camera counts, because flat objects may also be brighter at one side. To ignore
+    painted bands, the median of each row is subtracted; a frame along the outline is excluded.
     """
     depth, _ = nearest_of(~picture.object_mask)
     seen = depth > max(LEAST_FRAME, FRAME * float(depth.max()))

@@ -153,7 +153,7 @@ class Goal:
 
     @classmethod
     def of(cls, object_mask: Mask, middle: Field) -> Goal:
-        """Return the goal for a silhouette [H,W]."""
+        """Return the target of the fit for a silhouette [H,W]."""
         more = [(0, -side % COARSE) for side in object_mask.shape]
         solid = np.pad(object_mask, more)
         holes = scipy.ndimage.binary_fill_holes(solid) & ~solid

@@ -26,7 +26,7 @@ SQUARE = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], np.float64)
 
 
 class Kind(NamedTuple):
-    """Shape of the top, places of the legs, and whether there is a backrest."""
+    """Shape of the top, positions of the legs, and whether there is a backrest."""
 
     top: Field
     """Corners of the top, relative to half the width and half the depth [C,2]."""
@@ -40,7 +40,7 @@ ROUND_TABLES = Kind(_circle(24), _circle(4), False), Kind(_circle(24), _circle(3
 
 
 class Sizes(NamedTuple):
-    """Sizes and place of a table, in pixels and radians."""
+    """Sizes and position of a table, in pixels and radians."""
 
     elevation: float
     yaw: float
@@ -106,14 +106,14 @@ class Table:
         return [part @ self.axes + [s.right, 0, 0] for part in parts]
 
     def _place(self, relative: Field) -> Field:
-        """Return positions [N,2] from places relative to half the top's sides [N,2]."""
+        """Convert positions [N,2] relative to half the top's sides to positions in pixels [N,2]."""
         s = self.sizes
         taper = (1 + s.rear) / 2 + (1 - s.rear) / 2 * relative[:, 1]
         return relative * [s.half, s.deep] * np.stack([taper, np.ones(len(relative))], axis=1)
 
     @cached_property
     def places(self) -> Field:
-        """Places of all corners in the image, relative to the image's centre [C,2], pixels."""
+        """Positions of all corners in the image, relative to the image's centre [C,2], pixels."""
         return self.camera.pixels(np.concatenate(self.parts))
 
     def resize(self, **sizes: float) -> Table:

@@ -4,9 +4,10 @@ The surface consists of the points at which the density of the Gaussians is 1/2.
 sum of opacity * exp(-d^2 / 2), where d is the Mahalanobis distance. The density is sampled on a
 grid with `CELLS` cells along the longest side. Gaussians thinner than `BLUR` cells are widened to
 this thickness, because a grid cannot resolve thinner Gaussians. The surface differs by at most one
-cell from the surface on a grid that is four times as fine. Enclosed cavities are filled, also if
-there are gaps between few Gaussians. The triangles are computed by marching cubes (Lewiner et al.
-2003, in scikit-image). A vertex has the mean colour of the Gaussians nearest to it.
+cell from the surface on a grid that is four times as fine. Enclosed cavities are filled, even if
+small gaps between Gaussians connect them to the outside. The triangles are computed by marching
+cubes (Lewiner et al. 2003, in scikit-image). A vertex has the mean colour of the Gaussians nearest
+to it.
 """
 
 from dataclasses import dataclass
@@ -135,7 +136,7 @@ def _evaluate(inverse: NDArray, shift: NDArray, offsets: NDArray) -> NDArray[np.
 
 
 def _fill_cavities(density: NDArray[np.float32]) -> None:
-    """Fill cavities, also those that are open only through gaps between wide Gaussians."""
+    """Fill enclosed cavities, even if small gaps between Gaussians connect them to the outside."""
     from scipy import ndimage
 
     for level in (LEVEL, GAP):

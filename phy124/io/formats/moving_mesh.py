@@ -54,7 +54,9 @@ def write_moving_mesh(
 
 
 def note_separation(clip: Clip) -> list[str]:
-    """Return a note if the material of a clip flows, crumbles or tears, unlike a moving mesh."""
+    """Return a note if a clip's material flows, crumbles or tears, which a moving mesh cannot
+    show.
+    """
     tearing = (clip.report.get("balance") or {}).get("tearing") or {}
     flows = any(clip.report.get(name) for name in ("liquids", "fragments", "grains"))
     if not (flows or tearing.get("likely")):

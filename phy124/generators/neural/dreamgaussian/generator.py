@@ -42,8 +42,8 @@ from phy124.weights.store import require
 class Settings:
     """Settings of the optimisation; the defaults are those of DreamGaussian's image.yaml.
 
-    The known view shows the input image. The guided views are other directions, which a diffusion
-    model judges.
+    The known view shows the input image. The guided views show the object from other directions; a
+    diffusion model rates them.
     """
 
     steps: int = 500

@@ -196,7 +196,7 @@ class Density:
 
 
 class Pull:
-    """For each Gaussian: the loss's gradient for the screen position, averaged over several
+    """Gradient of the loss with respect to each Gaussian's screen position, averaged over several
     views.
     """
 

@@ -1,4 +1,5 @@
-"""Attention layers of the multi-view U-Net: over all frames, to the text, and to the image.
+"""Attention layers of the multi-view U-Net: self-attention over all frames, and cross-attention to
+text and image.
 
 Shi et al. 2023, "MVDream", section 3.1; Wang & Shi 2023, "ImageDream", section 3.2. Submodules have
 the same names as in the public checkpoints.

@@ -136,7 +136,7 @@ def image_encoder(path: Path | None = None, **changes: Any) -> CLIPVisionModel:
 def build_filled(build: Callable[[], Any], path: Path | None, prefix: str, name: str) -> Any:
     """Build a network and, if `path` is set, load its weights in the file's precision.
 
-    In memory, tensor names have the `prefix` only with transformers before version 5.
+    With transformers before version 5, the network's tensor names also begin with `prefix`.
 
     Args:
         build: Creates the network.

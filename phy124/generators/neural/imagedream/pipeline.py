@@ -63,7 +63,8 @@ AZIMUTHS = (0, 90, 180, 270)
 def cameras(elevation: float = 0.0) -> NDArray[np.float32]:
     """Return the camera-to-world transforms of the four views, and zeros for the image [5,16].
 
-    Transforms are flattened row by row. A positive elevation [degrees] is below the object.
+    Transforms are flattened row by row. A camera with a positive `elevation` [degrees] is below the
+    object.
     """
     rows = [pose_row(elevation, azimuth) for azimuth in AZIMUTHS]
     return np.array([*rows, [0.0] * 16], dtype=np.float32)
