@@ -218,7 +218,7 @@
       glimpse: (picture) => panel.glimpse(picture), played: () => panel.played });
     Object.assign(globalThis.Phy124, { compare: (url, title) => panel.compare(url, title) });
     document.addEventListener('phy124-cut', ({ detail }) => panel.own(detail));
-    const show = () => panel.show(props.value?.pack?.url, props.value?.invented);
+    const show = () => { panel.showing = panel.show(props.value?.pack?.url, props.value?.invented); };
     watch('value', show);
     show();
     try { panel.offer(await (await fetch('phy124/catalogue.json')).json()); } catch { /* without ready results */ }
@@ -226,7 +226,7 @@
 
   class ViewerPanel {
     constructor(element) {
-      Object.assign(this, { element, player: null, url: null, growing: null, other: null, cut: null, ready: h('section', { id: 'ready', 'aria-label': 'Ready to see' }) });
+      Object.assign(this, { element, player: null, url: null, showing: null, growing: null, other: null, cut: null, ready: h('section', { id: 'ready', 'aria-label': 'Ready to see' }) });
       const narrow = matchMedia('(max-width: 719px)'), place = () => (narrow.matches && document.querySelector('#side') || element).append(this.ready);
       narrow.addEventListener('change', place);
       this.place = place;
@@ -364,6 +364,7 @@
 
     /** Show another result next to this one, from the same direction at the same time. */
     async compare(url, title) {
+      await this.showing; // the result may still be loading
       if (!this.player) return;
       if (this.other) { this.other.dispose(); this.other.host.parentNode.remove(); this.other = null; if (this.beside === url) { this.beside = null; return; } }
       this.beside = url;

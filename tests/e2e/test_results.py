@@ -4,6 +4,12 @@ import pytest
 from visit import Visit
 
 pytestmark = pytest.mark.browser
+HOLD_PLAYERS = """() => {
+    // New players appear late, as on a slow machine.
+    const mount = Phy124Player.mount.bind(Phy124Player);
+    const held = new Promise((done) => { globalThis.releasePlayers = done; });
+    Phy124Player.mount = (...options) => held.then(() => mount(...options));
+}"""
 
 
 def test_motion_streams_and_earlier_results_stay(visit):
@@ -17,9 +23,11 @@ def test_motion_streams_and_earlier_results_stay(visit):
     page.get_by_text("the back is a guess from its outline").wait_for()
     page.locator(".chip input[value=rubber]").check(force=True)
     visit.choose(frames=3)
+    page.evaluate(HOLD_PLAYERS)
     visit.generate()
     page.locator("#history summary").click()
-    page.locator("#history li:not(.current) .quiet").click()
+    page.locator("#history li:not(.current) .quiet").click()  # before the new result is drawn
+    page.evaluate("releasePlayers()")
     page.wait_for_selector(".beside canvas")
     page.locator("#history li:not(.current) > button").first.click()
     page.wait_for_selector("#history li:nth-child(2).current")
@@ -37,7 +45,7 @@ def test_changes_of_the_scene_are_undone_and_shared_by_a_link(visit, browser, se
     more.click()
     page.locator(".scene-tools").get_by_text("Copy a link").click()
     page.wait_for_function("location.hash.startsWith('#scene=')")
-    link = page.url
+    link = page.evaluate("location.href")
     undo = page.locator(".scene-tools").get_by_text("Undo")
     while frames.input_value() != before:
         undo.click()  # It waits until there is something to undo.
@@ -85,8 +93,10 @@ def test_phone_fits_the_page_and_shows_the_result(browser, server, tmp_path):
     visit.upload()
     visit.choose(frames=4)
     page.evaluate("scrollTo(0, 0)")
-    visit.generate()
-    cancel = page.locator("#cancel").bounding_box()
+    with visit.going_on():
+        visit.generate()
+        page.locator("#cancel").wait_for()
+        cancel = page.locator("#cancel").bounding_box()
     assert cancel["x"] >= 0 and cancel["x"] + cancel["width"] <= 390, cancel
     visit.finished()
     page.wait_for_selector("#viewer .phy-time")
