@@ -10,6 +10,7 @@ from support.served import serving
 def server(tmp_path_factory):
     # Software WebGL draws few Gaussians in good time. All visitors of all tests have one address.
     settings = {"gaussians": 1500, "max_per_address": 500, "max_visitors": 500}
+    settings["max_seconds"] = 3600  # Slow machines must not refuse the long runs of some tests.
     with serving(tmp_path_factory.mktemp("web"), **settings) as running:
         yield running
 

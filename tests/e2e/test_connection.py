@@ -23,7 +23,7 @@ def test_a_lost_connection_and_a_reload_lose_nothing(visit):
 
 
 def test_reloaded_page_follows_its_run(visit):
-    visit.begin(frames=60)
+    visit.begin()
     page, late = visit.page, True
 
     def answer(route) -> None:
@@ -35,4 +35,5 @@ def test_reloaded_page_follows_its_run(visit):
     page.wait_for_selector("#progress .running")
     page.get_by_text("longer than expected: 60 s so far").wait_for()
     late = False
-    visit.finished()
+    page.locator("#cancel").click()
+    page.get_by_text("Stopped.").first.wait_for()

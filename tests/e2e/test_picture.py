@@ -11,11 +11,17 @@ from support.hostile import PHONE
 
 pytestmark = pytest.mark.browser
 TEDDY = DUCK.with_name("teddy.png")
-NATURAL = """async (which) => {
-    const img = document.querySelector(which);
-    await img.decode();
-    return [img.naturalWidth, img.naturalHeight];
+SHAPE = """(which) => {
+    const { complete, naturalWidth, naturalHeight } = document.querySelector(which);
+    return complete && naturalWidth && [naturalWidth, naturalHeight];
 }"""
+BRUSH = "document.querySelector('.brush-canvas').height > 150"
+"""Whether the picture is drawn under the brush, a moment after the brush is opened."""
+
+
+def _shape(page, which: str) -> list[int]:
+    """Width and height of a picture once it has arrived."""
+    return page.wait_for_function(SHAPE, arg=which).json_value()
 
 
 def test_after_a_refused_picture_nothing_older_is_generated(visit, tmp_path):
@@ -40,7 +46,7 @@ GIVE = """([where, event, count]) => {
 
 def test_a_picture_is_kept_if_the_next_one_is_not_used(visit):
     page = visit.page
-    visit.begin(frames=60)
+    visit.begin()
     page.evaluate(GIVE, [None, "paste", 1])
     page.get_by_text("The picture was not changed, because a run is going on.").wait_for()
     page.locator("#cancel").click()
@@ -68,9 +74,7 @@ def test_large_photographs_are_reduced_before_they_are_sent(visit, tmp_path):
     Image.fromarray(noise).save(tmp_path / "phone.jpg", quality=95)
     assert (tmp_path / "phone.jpg").stat().st_size > 8e6
     visit.page.locator("#photo input[type=file]").set_input_files(tmp_path / "phone.jpg")
-    visit.page.wait_for_selector("#photo img[src]")
-    shape = visit.page.evaluate(NATURAL, "#photo img")
-    assert shape == [2048, 1536]
+    assert _shape(visit.page, "#photo img") == [2048, 1536]
 
 
 def test_the_cut_out_is_corrected_by_brush(visit):
@@ -80,8 +84,7 @@ def test_the_cut_out_is_corrected_by_brush(visit):
     before = shown.get_attribute("src")
     page.locator("#correct").click()
     canvas = page.locator(".brush-canvas")
-    # The picture is drawn a moment after the brush is opened.
-    page.wait_for_function("document.querySelector('.brush-canvas').height > 150")
+    page.wait_for_function(BRUSH)
     canvas.scroll_into_view_if_needed()
     box = canvas.bounding_box()
     # Green down the empty margin on the left: it is to be kept.
@@ -113,6 +116,7 @@ def test_a_click_on_the_picture_picks_another_object(visit, tmp_path):
     page, shown = visit.page, visit.page.locator("#cutout img[src]")
     page.wait_for_selector("#correct:not([hidden])")
     before = shown.get_attribute("src")
+    assert _shape(page, "#photo img") == [300, 200]
     box = page.locator("#photo > label > img").bounding_box()
     # It has margins, and the picture fills the width or the height.
     scale = min(box["width"] / 300, box["height"] / 200)
@@ -137,6 +141,7 @@ def test_a_click_on_the_picture_picks_another_object(visit, tmp_path):
 def test_the_brush_is_used_by_keyboard(visit):
     visit.upload()
     visit.page.locator("#correct").click()
+    visit.page.wait_for_function(BRUSH)
     canvas = visit.page.locator(".brush-canvas")
     canvas.focus()
     before = canvas.evaluate("(c) => c.toDataURL()")
@@ -149,9 +154,8 @@ def test_the_brush_is_used_by_keyboard(visit):
 def test_a_heic_photograph_is_shown_and_cut_out(visit):
     """Chromium cannot show it: what is seen comes from the server."""
     visit.upload(PHONE)
-    shape = visit.page.evaluate(NATURAL, "#photo img")
-    assert shape == [320, 256]
-    assert visit.page.evaluate(NATURAL, "#cutout img") == shape
+    for which in ("#photo img", "#cutout img"):
+        assert _shape(visit.page, which) == [320, 256]
     assert visit.complaints == []
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from visit import Visit, drawn
+from visit import LONG, Visit, drawn
 
 from support.served import ROOT
 
@@ -57,15 +57,17 @@ def test_from_picture_to_files(browser, server, tmp_path):
     assert "It took" in page.locator("#report").inner_text()
     visit.experts()
     assert "Smallest volume ratio J" in page.locator(".report").inner_text()
-    _make_it_finer(page)
+    _make_it_finer(visit)
     assert visit.complaints == []
     visit.context.close()
 
 
-def _make_it_finer(page) -> None:
+def _make_it_finer(visit: Visit) -> None:
+    page = visit.page
     assert page.get_by_role("row", name="Accuracy draft").count() == 1
-    page.get_by_role("button", name="Make it finer").click()
-    page.wait_for_selector("body.kept #viewer .phy-time")
+    with visit.going_on():
+        page.get_by_role("button", name="Make it finer").click()
+        page.wait_for_selector("body.kept #viewer .phy-time")
     page.wait_for_selector("body[data-state=result]")
     page.get_by_role("row", name="Accuracy standard").wait_for()
 
@@ -130,6 +132,7 @@ def _files_open(page, folder: Path) -> None:
 
 def _stranger_sees(browser, link: str) -> None:
     stranger = browser.new_page()
+    stranger.set_default_timeout(LONG)
     complaints = []
     stranger.on("console", lambda m: m.type == "error" and complaints.append(m.text))
     stranger.goto(link)
@@ -194,7 +197,7 @@ def _measure(page) -> None:
 
 
 def test_cancel_frees_the_device_and_the_next_job_runs(visit, server):
-    visit.begin(frames=60, accuracy="standard")
+    visit.begin()
     assert server.health()["busy"]
     visit.page.locator("#cancel").click()
     visit.page.get_by_text("Stopped.").first.wait_for()
@@ -212,7 +215,7 @@ def test_the_earlier_result_returns_after_no_result(visit):
     visit.choose(frames=2)
     visit.generate()
     visit.finished()
-    visit.choose(frames=60, accuracy="standard")
+    visit.choose_a_long_run()
     visit.generate()
     page.wait_for_selector(".viewer-host.growing canvas")
     page.reload()
@@ -237,17 +240,17 @@ def test_the_earlier_result_returns_after_no_result(visit):
 
 def test_a_run_called_off_in_the_queue_never_starts(browser, server):
     first, second = Visit(browser, server), Visit(browser, server)
-    for visit, frames, accuracy in ((first, 60, "fine"), (second, 2, "draft")):
-        visit.upload()
-        visit.choose(frames=frames, accuracy=accuracy)
-    first.generate()
-    first.page.wait_for_selector(".viewer-host.growing canvas")
+    first.begin()
+    second.upload()
+    second.choose(frames=2)
     second.generate()
     second.page.get_by_text("1 before you").wait_for()
     second.page.locator("#cancel").click()
     second.page.get_by_text("Stopped.").first.wait_for()
     second.page.wait_for_selector("#go:not([disabled])")
     second.generate()
+    second.page.get_by_text("1 before you").wait_for()
+    second.page.reload()
     second.page.get_by_text("1 before you").wait_for()
     first.page.locator("#cancel").click()
     second.finished()

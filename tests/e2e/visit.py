@@ -31,7 +31,7 @@ FLAGS = [
 DUCK = ROOT / "demo" / "examples" / "duck.png"
 LONG = 300_000
 """Longest wait for a condition [ms]."""
-CUTOUT = "() => document.querySelector('#cutout img')?.getAttribute('src')"
+CUTOUT = "() => document.querySelector('#cutout img')?.getAttribute('src') ?? null"
 """Address of the cut-out object on the page, null without a picture."""
 HAND = "[...document.querySelectorAll('#touch, #touch *')].find((e) => e.hand).hand"
 """The live run of *Touch*, and ..."""
@@ -105,10 +105,16 @@ class Visit:
         """Wait until the editor has sent the server a scene for which `what` is true."""
         self.page.wait_for_function(f"({what})(JSON.parse(sessionStorage.getItem('phy124-scene')))")
 
-    def begin(self, *, frames: int, accuracy: str = "draft") -> None:
-        """A run of the duck, until its first frame is seen."""
+    def choose_a_long_run(self, *, frames: int = 60) -> None:
+        """A stiff object, whose frames take long on fast machines, too."""
+        self.choose(frames=frames)
+        self.page.get_by_label("Softness", exact=True).fill("200")
+        self.wait_for_scene("(scene) => scene.material.E >= 1e10")
+
+    def begin(self, *, frames: int = 60) -> None:
+        """A long run of the duck, until its first frame is seen."""
         self.upload()
-        self.choose(frames=frames, accuracy=accuracy)
+        self.choose_a_long_run(frames=frames)
         self.generate()
         self.page.wait_for_selector(".viewer-host.growing canvas")
 
