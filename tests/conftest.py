@@ -26,6 +26,7 @@ import warp as wp
 
 from phy124.gaussians import Gaussians
 from phy124.runtime.startup import start
+from support.domains import reserved_domain
 from support.gpu_module import GpuModule
 from support.solids import coarse
 
@@ -160,6 +161,17 @@ def in_this_process(monkeypatch):
     than most of these tests."""
     run = "phy124.runtime.isolated.run"
     monkeypatch.setattr(run, lambda function, *options, **_: function(*options))
+
+
+@pytest.fixture
+def domain(monkeypatch) -> Iterator[int]:
+    """The DDS domain of a test, on this machine only."""
+    for name in ("CYCLONEDDS_URI", "ROS_STATIC_PEERS", "ROS_LOCALHOST_ONLY"):
+        monkeypatch.delenv(name, raising=False)
+    with reserved_domain() as number:
+        monkeypatch.setenv("ROS_DOMAIN_ID", str(number))
+        monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        yield number
 
 
 @pytest.fixture

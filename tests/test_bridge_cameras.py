@@ -1,7 +1,6 @@
 """Images of cameras, read from bags by rosbags, and received over Foxglove and DDS."""
 
 import io
-import os
 import subprocess
 
 import imageio_ffmpeg
@@ -290,7 +289,7 @@ def test_foxglove_shows_cameras():
         np.testing.assert_array_equal(pixels(image)[..., 0], frame.pictures[0].images["depth"])
 
 
-def test_dds_publishes_cameras(monkeypatch):
+def test_dds_publishes_cameras(domain):
     pytest.importorskip("cyclonedds")
     from cyclonedds.domain import DomainParticipant
     from cyclonedds.sub import DataReader
@@ -299,12 +298,10 @@ def test_dds_publishes_cameras(monkeypatch):
     from bridge.idl import idl_type
     from bridge.sinks.dds import DdsSink, quality
 
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(101 + os.getpid() % 100))
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     chosen = options(views=("front",), size="32x24", images=("rgb",))
     (frame,) = seen_frames(dots_clip(1), chosen)
     with DdsSink(chosen) as sink:
-        peer, result = DomainParticipant(sink._discovery.domain), []
+        peer, result = DomainParticipant(domain), []
         readers = []
         for topic in list_topics(chosen):
             name = f"rt{full_name(topic.name, 'player')}"

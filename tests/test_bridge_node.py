@@ -20,7 +20,7 @@ from support.ros_double import Node, clouds, decoded, statuses, values
 
 FOREVER = 1000
 """Spins after which a test's script gives up."""
-TIMEOUT = 20.0
+TIMEOUT = 300.0
 """Seconds after which a test that waits gives up."""
 
 

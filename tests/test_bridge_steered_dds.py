@@ -34,7 +34,7 @@ QOS = Qos(
     Policy.History.KeepLast(100),
     Policy.DataRepresentation(use_cdrv0_representation=True),
 )
-MOST = 24 * 60
+MOST = 24 * 600
 """Frames after which nobody will come any more."""
 
 
@@ -79,16 +79,6 @@ class Peer:
         until(answered)
         assert (answers[0].client, answers[0].number) == (4711, number)
         return answers[0]
-
-
-@pytest.fixture
-def domain(monkeypatch):
-    number = 101 + os.getpid() % 100
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(number))
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    for name in ("CYCLONEDDS_URI", "ROS_STATIC_PEERS", "ROS_LOCALHOST_ONLY"):
-        monkeypatch.delenv(name, raising=False)
-    return number
 
 
 def opened(run):

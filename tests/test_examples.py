@@ -1,6 +1,5 @@
 """The programs of docs/examples run as they stand, and print or make what their page says."""
 
-import os
 import re
 import runpy
 from pathlib import Path
@@ -43,14 +42,12 @@ def smaller(text: str) -> str:
 
 
 @pytest.fixture
-def folder(tmp_path, monkeypatch):
+def folder(tmp_path, monkeypatch, domain):
     """A folder with the example pictures, as the root of the repository has them."""
     (tmp_path / "demo").symlink_to(ROOT / "demo")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("MPLBACKEND", "agg")
     monkeypatch.setitem(GENERATORS, "ball", None)  # so that it is removed after the test
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     return tmp_path
 
 

@@ -111,8 +111,8 @@ def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--domain", type=int, required=True)
     parser.add_argument("--count", type=int, default=10**9, help="leave after so many messages")
-    parser.add_argument("--quiet", type=float, default=2.0, help="leave after so many idle seconds")
-    parser.add_argument("--first", type=float, default=20.0, help="wait so long for the first")
+    parser.add_argument("--quiet", type=float, default=60, help="leave after so many idle seconds")
+    parser.add_argument("--first", type=float, default=300, help="wait so long for the first")
     parser.add_argument("--say", default="", help="AFTER:COMMAND[,...] on /phy124/command")
     parser.add_argument("--config", default=CONFIG, help="Cyclone DDS settings, as XML")
     args = parser.parse_args()
@@ -130,8 +130,11 @@ def main() -> None:
     waitset.attach(ReadCondition(reader, mask))
     orders = [order.split(":") for order in args.say.split(",") if order]
     say({"ready": True})
-    count, last = 0, time.monotonic() + args.first - args.quiet
-    while count < args.count and time.monotonic() - last < args.quiet:
+    count, last, is_matched = 0, time.monotonic() + args.first - args.quiet, False
+    while count < args.count and (orders or time.monotonic() - last < args.quiet):
+        if not is_matched and reader.get_matched_publications():
+            is_matched = True
+            say({"matched": True})
         waitset.wait(50_000_000)
         samples = [sample for sample in reader.take(100) if isinstance(sample, Raw)]
         received = time.time_ns()

@@ -42,7 +42,7 @@ def inside(command: list[str]) -> list[str]:
 def is_possible() -> bool:
     """Return whether this machine permits private networks."""
     try:
-        made = subprocess.run(inside(["true"]), capture_output=True, check=False, timeout=20)
+        made = subprocess.run(inside(["true"]), capture_output=True, check=False, timeout=60)
     except (OSError, subprocess.TimeoutExpired):
         return False
     return made.returncode == 0
