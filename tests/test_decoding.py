@@ -15,6 +15,7 @@ from phy124.imaging.decoding import Purpose, Unusable, decode
 from phy124.imaging.image import ANY_FORMAT, FORMATS, open_image
 from support import photographs
 from support.photographs import Entry, exif_of, file_of, upright, with_segment
+from support.repeated import REPEATED
 
 PHOTOGRAPH, MASK = Purpose(FORMATS, 8), Purpose(ANY_FORMAT, 1, colours=False)
 TYPES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8, 11: 4, 12: 8, 13: 4, 16: 8}
@@ -111,7 +112,7 @@ def test_odd_tags_leave_a_mask_in_tiff_whole_and_upright(tag):
         np.testing.assert_array_equal(result[..., 0], turned(6)[..., 0], f"type {kind} x {count}")
 
 
-@settings(max_examples=25, deadline=None)
+@settings(REPEATED, max_examples=25)
 @given(
     st.lists(
         st.builds(
@@ -128,7 +129,7 @@ def test_no_exif_at_all_makes_a_photograph_unusable(entries):
     assert colours(rotated(*entries)).shape in ((48, 32, 3), (32, 48, 3))
 
 
-@settings(max_examples=25, deadline=None)
+@settings(REPEATED, max_examples=25)
 @given(st.binary(max_size=80))
 def test_exif_of_any_bytes_is_passed_over(data):
     colours(with_segment(JPEG, 0xE1, b"Exif\0\0" + data))
@@ -268,7 +269,7 @@ def test_a_profile_of_which_a_part_is_missing_is_noted():
     assert result.notes and "colour profile" in result.notes[0]
 
 
-@settings(max_examples=25, deadline=None)
+@settings(REPEATED, max_examples=25)
 @given(
     st.sampled_from([photographs.display_p3(), photographs.grey_profile(2.2)]),
     st.lists(st.tuples(st.integers(0, 300), st.binary(min_size=1, max_size=4)), max_size=5),
@@ -352,7 +353,7 @@ def test_truncated_file_is_refused_with_a_message(kind):
             assert len(error.args) == 2 and "object at 0x" not in error.args[0]
 
 
-@settings(max_examples=150, deadline=None)
+@settings(REPEATED, max_examples=150)
 @given(
     st.sampled_from(["PNG", "JPEG", "WEBP", "GIF", "BMP", "TIFF", "PPM"]),
     st.lists(

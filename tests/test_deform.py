@@ -13,6 +13,7 @@ from phy124.motion.deform import Deformer
 from phy124.particles import make_particles
 from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
+from support.repeated import REPEATED
 from support.shapes import ball
 
 IDENTITY = np.eye(3)
@@ -164,7 +165,7 @@ def test_equal_axes_do_not_flicker(scales, rng):
         assert turns(result.quats, still.quats).max() < 0.1
 
 
-@settings(max_examples=40, deadline=None)
+@settings(REPEATED, max_examples=40)
 @given(entries=st.lists(st.floats(-1e4, 1e4, width=32), min_size=9, max_size=9))
 def test_any_finite_f_gives_a_finite_frame(entries):
     gaussians = random_gaussians(20, np.random.default_rng(5), thinnest=-4)

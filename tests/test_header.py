@@ -11,6 +11,7 @@ from phy124.imaging import header
 from phy124.imaging.header import read_kind, read_size
 from support import photographs
 from support.hostile import PHONE, heic_claiming, png_claiming
+from support.repeated import REPEATED
 
 READS_AVIF = features.check("avif")
 
@@ -89,7 +90,7 @@ def test_filling_between_segments_is_passed_over_once():
         read_size(b"\xff\xd8" + b"\xff" * 2_000_000)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(REPEATED, max_examples=200)
 @given(
     st.sampled_from(
         [

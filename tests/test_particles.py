@@ -25,6 +25,7 @@ from phy124.particles.seeding import MAX_PARTICLES
 from phy124.particles.solid import find_interior
 from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
+from support.repeated import REPEATED
 
 BALL = math.pi / 6
 SIDES = np.array([1, 0.7, 0.43])
@@ -225,7 +226,7 @@ def test_field_has_one_particle_per_lattice_cell(rng):
     assert np.ptp(particles.volume) < 2.5 * 0.05**3
 
 
-@settings(max_examples=4, deadline=None)
+@settings(REPEATED, max_examples=4)
 @given(
     n=st.integers(1, 12),
     rank=st.integers(0, 3),
