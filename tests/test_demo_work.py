@@ -181,7 +181,7 @@ def test_a_closed_generator_ends_the_work(order):
     events.close()
     for thread in threading.enumerate():
         if thread.name == "work":
-            thread.join(10)
+            thread.join(300)
     assert not DEVICE.locked() and not order.stop.exists()
     assert list((order.folder / "clips").iterdir()) == [], "it went on to the end"
 

@@ -60,7 +60,7 @@ def enter(place, other) -> bool:
         return True
     inside = threading.Thread(target=enter, args=(other, None), daemon=True)
     inside.start()
-    inside.join(0.2 if place.device != "cpu" else 20)
+    inside.join(0.2 if place.device != "cpu" else 300)
     return not inside.is_alive()
 
 

@@ -2,6 +2,7 @@
 
 import gzip
 import os
+import tempfile
 import zipfile
 
 import pytest
@@ -85,6 +86,7 @@ def test_a_file_that_may_not_be_read_is_not_called_missing(tmp_path, monkeypatch
 @pytest.mark.parametrize("command", COMMANDS[1:], ids=lambda words: words[0])
 def test_without_permission_each_command_says_so(tmp_path, monkeypatch, capsys, command):
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(tempfile, "tempdir", "/tmp")  # TMPDIR may be for this user only
     (tmp_path / "secret").touch(mode=0o600)
     os.chmod(tmp_path, 0o777)
     words = [word.replace("{}", "secret") for word in command]

@@ -340,7 +340,7 @@ def test_a_proxy_that_holds_answers_back_hides_no_progress(server):
     """The page only asks short questions, so there is nothing to be held back."""
     with in_front_of(server) as seen:
         visitor = Attacker(seen)
-        declared = visitor.use_the_page(visitor.uploaded(DUCK), _scene(frames=24))
+        declared = visitor.use_the_page(visitor.uploaded(DUCK), _scene(24, **{"material.E": 1e7}))
         assert {row["state"] for row in declared} >= {"running", "done"}
         drawn = [len(row["live"]) for row in declared if row["state"] == "running"]
         assert any(0 < count < 24 for count in drawn), drawn
