@@ -45,8 +45,8 @@ def _command(arguments: list[str], description: str | None) -> Any:
 def split_ros_arguments(arguments: list[str]) -> tuple[list[str], list[str]]:
     """Separate ROS arguments (from `--ros-args` up to `--` or the end) from the other arguments.
 
-    The other arguments are returned first. After a `--` that does not close `--ros-args`,
-    `--ros-args` is an ordinary argument.
+    The other arguments are returned first. After a `--` outside ROS arguments, all arguments are
+    ordinary, even `--ros-args`.
     """
     program: list[str] = []
     ros: list[str] = []
@@ -77,5 +77,5 @@ def _say(line: str) -> None:
 
 
 def _note(message: Warning | str, *_: object) -> None:
-    """The line of source code that caused the warning is left out."""
+    """Log a warning without the line of source code that caused it."""
     logging.getLogger(__name__).warning(str(message))

@@ -42,7 +42,7 @@ LATER: dict[str, dict[str, Any]] = {
 
 
 class Undecoded:
-    """Stands for a sample whose bytes are not a message, such as a text that is not UTF-8."""
+    """A sample that could not be decoded, for example because a text is not UTF-8."""
 
     def __init__(self, error: Exception) -> None:
         self.error = error
@@ -63,7 +63,8 @@ def idl_type(name: str) -> type[IdlStruct]:
 def service_type(name: str) -> type[IdlStruct]:
     """Return a service's request or response type, with the header of rmw_cyclonedds_cpp.
 
-    Requests may also contain the flags in `LATER`. Samples are decoded as those of `idl_type`.
+    Requests may also contain the flags in `LATER`. As with `idl_type`, a sample that cannot be
+    decoded becomes an `Undecoded`.
     """
     header = {"client": types.uint64, "number": types.int64}
     kind = _struct(name, header)

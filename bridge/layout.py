@@ -209,7 +209,7 @@ def _phases(count: int, sizes: dict[int, int]) -> NDArray[np.int64]:
 
 
 def _layout(phase: int, frame: str, numbers: int) -> np.dtype[Any]:
-    """The padding depends on `phase`, the offset of the splat in the payload modulo 8."""
+    """Return the byte layout of a splat; `phase` is its offset in the payload modulo 8."""
     text = len(frame.encode()) + 1
     gap = -(phase + 12 + text) % 8
     return np.dtype(

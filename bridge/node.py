@@ -116,8 +116,8 @@ def simulate(node: Any) -> None:
 def _seen_frames(run: LiveRun, options: Options) -> Generator[Frame, None, None]:
     """Yield the frames of a run with the pictures of cameras.
 
-    From the first frame on, the scene of the run contains the parts of the object, which determine
-    the positions of the cameras.
+    The cameras are created after the first frame is computed, because their positions depend on the
+    object's parts, and the scene contains these parts only from then on.
     """
     frames = iter(run)
     for first in frames:
@@ -173,7 +173,7 @@ def _require(name: str, value: str, example: str) -> None:
 
 
 def _options(chosen: dict[str, Any]) -> Options:
-    """In a node's parameters, 0 stands for None."""
+    """Return the message options from a node's parameters, in which 0 stands for None."""
     optional = {
         name: chosen.get(name) or None for name in ("max_points", "epoch", "cameras", "draco")
     }

@@ -34,7 +34,7 @@ FALLBACK = {"step": "next", "reset": "restart"}
 
 
 def offer_playback(node: Any, ask: Obey, playback: Callable[[], Playback | None]) -> None:
-    """Offer services that play and pause, and services that the player of rosbag2 offers, too.
+    """Offer services to play and pause, and the services of rosbag2's player.
 
     `playback` returns the state of playback, or None before the start.
     """
@@ -91,7 +91,7 @@ def _offer_triggers(node: Any, ask: Obey, commands: Mapping[str, str]) -> None:
 
 
 def offer_standard(node: Any, controls: Controls, ask: Obey) -> None:
-    """Offer those standard services of simulators that are listed in `controls`."""
+    """Offer the standard services of simulators that `controls` lists."""
     if not controls.services:
         return
     try:

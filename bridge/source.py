@@ -142,8 +142,8 @@ def refuse_unopened(source: Path) -> None:
 class FileWatch:
     """Notices if another program writes into a clip that is being played.
 
-    The arrays of a clip stay in the file; if the file becomes shorter, reading the arrays ends the
-    process. A file that is deleted or replaced stays readable.
+    The arrays of a clip are memory-mapped from the file. If the file becomes shorter, the system
+    kills a process that reads them. A file that is deleted or replaced stays readable.
     """
 
     def __init__(self, path: str | Path) -> None:

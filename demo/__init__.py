@@ -1,1 +1,1 @@
-"""The web page: `python app.py`."""
+"""The web page, started by `python app.py`."""

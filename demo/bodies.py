@@ -35,7 +35,7 @@ class BodyLimit:
     def __init__(
         self, app: ASGIApp, uploads: str, most: tuple[int, str], other: tuple[int, str]
     ) -> None:
-        """Wrap the application that receives the requests with permitted bodies.
+        """Wrap an application, so that it receives only requests with permitted bodies.
 
         Args:
             app: The application to wrap.
@@ -85,10 +85,11 @@ class BodyLimit:
 
 
 def is_plain(body: bytes) -> bool:
-    """Return whether a JSON text has at most `VALUES` finite values, at most `DEEPEST` deep.
+    """Return whether a JSON text has at most `VALUES` values, all finite, in `DEEPEST` levels.
 
-    NaN and Infinity are not JSON; Python reads them, and 1e999 as infinity, but Gradio cannot
-    answer them. The check is fast because it counts commas and brackets, even those inside strings.
+    NaN and Infinity are not valid JSON, but Python's parser accepts them, and reads 1e999 as
+    infinity. Gradio fails if its answer contains such a value. The check is fast because it counts
+    commas and brackets, even those inside strings.
     """
     marks = sum(body.count(mark) for mark in (b",", b"[", b"{"))
     # A zero byte indicates UTF-16 or UTF-32, in which the search would miss quotes.
@@ -117,7 +118,7 @@ def _is_infinite(number: bytes) -> bool:
 
 
 def _limit(receive: Receive, most: int) -> Receive:
-    """If the client sends more than `most` bytes, the application sees a lost connection."""
+    """If the client sends more than `most` bytes, report a closed connection to the application."""
     read = 0
 
     async def counted() -> Message:

@@ -45,8 +45,8 @@ def limit_connections(most: int) -> Iterator[None]:
     """Limit the number of connections of all servers that are started within this context.
 
     The protocol class is replaced before Gradio starts uvicorn, so that all connections have a
-    deadline. Up to three batches of new connections are accepted before the excess connections of
-    the first batch are closed, so a batch must be smaller than the limit.
+    deadline. The server accepts new connections in batches. Up to three batches arrive before
+    excess connections are closed, so a batch is at most a quarter of the limit.
     """
     usual, batch = (auto.AutoHTTPProtocol, uvicorn.Config), min(AT_ONCE, most // 4)
     auto.AutoHTTPProtocol = partial(Patient, most=most)  # pyright: ignore[reportAttributeAccessIssue]

@@ -21,7 +21,7 @@ SURE = 0.1
 
 @dataclass(frozen=True)
 class Course:
-    """The predicted course of a run."""
+    """The predicted times of a run, compared with the page's time limit."""
 
     motion: float
     """Time until the last frame is simulated, without a time limit [s]."""

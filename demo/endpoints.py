@@ -48,7 +48,7 @@ NOTHING_YET = "run: There is no run in this session yet. Call /generate first."
 
 
 class MeasureRequest(BaseModel):
-    """Arguments of /measure. They are checked later, so that errors name the argument."""
+    """Arguments of /measure, checked later, so that the error message names the wrong argument."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -163,7 +163,7 @@ def _unpack(
 
 
 def _unread(component: Component) -> Any:
-    """The value is checked later, because errors then contain the name of the argument."""
+    """Skip the component's check; a later check names the argument in its error message."""
     component.preprocess = lambda payload: payload
     return component
 

@@ -28,7 +28,7 @@ BRIDGE = __name__.partition("demo")[0] + "bridge"
 TOGETHER = threading.BoundedSemaphore(2)
 """Limits simultaneous conversions, because each conversion occupies a core for seconds."""
 TAIL = 60.0
-"""Time limit for the bridge to record a bag [s]."""
+"""Time limit for the bridge to write an MCAP file [s]."""
 
 
 def offered_formats() -> list[str]:
@@ -69,7 +69,7 @@ def export(kinds: Sequence[str], done: Done, visitor: Visitor, visitors: Visitor
 
 
 def notes_on(path: Path) -> list[str]:
-    """Return the sentences about what the file of a format changes or leaves out."""
+    """Return the notes about information that a file in this format changes or omits."""
     notes = _notes(path)
     return notes.read_text("utf-8").splitlines() if notes.exists() else []
 
@@ -133,7 +133,7 @@ def _write_format(format: Format, every: bool, done: Done, path: Path) -> list[s
 
 
 def _mcap(done: Done, path: Path) -> list[str]:
-    """Record a bag with the bridge's command line, because the page must not import the bridge."""
+    """Write an MCAP file by the bridge's command line; the page must not import the bridge."""
     clip = done.viewed_clip.resolve()
     command = [sys.executable, "-m", BRIDGE, "record", str(clip), str(path.resolve())]
     root = Path(__file__).parents[1]

@@ -202,13 +202,13 @@ class Estimator:
         self.learned.learn(_alone(report, before.mean(self.meter.measure())), scene)
 
     def minimum(self, scene: Scene, *, gaussians: int = GAUSSIANS) -> float:
-        """Return the time of a run at the smallest known costs of its stages [s]."""
+        """Return the shortest plausible time of a run, from the smallest known costs [s]."""
         return sum(self.learned.minimum.seconds(Work.of(scene, gaussians)).values())
 
     def min_study(
         self, scene: Scene, levels: Sequence[int], *, gaussians: int = GAUSSIANS
     ) -> float:
-        """Return the time of an error study on several grids, at the smallest known costs [s]."""
+        """Return the shortest plausible time of an error study on several grids [s]."""
         works = [Work.of(on_grid(scene, n), gaussians) for n in levels]
         return sum(self.learned.minimum.seconds(work)["simulate"] for work in works)
 

@@ -48,7 +48,7 @@ NETWORK = 64
 
 
 class Doorkeeper:
-    """Refuses foreign hosts, cross-site requests, downloads from other sites and unused URLs."""
+    """Refuses requests for other hosts, from other sites, for remote files and for unused URLs."""
 
     def __init__(
         self, app: ASGIApp, hosts: frozenset[str], origins: frozenset[str] = frozenset()

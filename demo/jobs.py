@@ -1,4 +1,4 @@
-"""The jobs that the page's buttons start, and their limits; jobs continue without a connection.
+"""The jobs that the page's buttons start, and their limits. A job outlives its connection.
 
 All slow work is done by jobs in two queues (demo.line): one for the device, and one for cutting out
 pictures.
@@ -237,7 +237,7 @@ class Studio:
     def _complete(
         self, estimate: Estimate, choice: Choice, scene: Scene, order: Order | None
     ) -> Estimate:
-        """The error was measured on this object or, if it was not, on similar objects."""
+        """Add the error, measured on this object or else on similar objects, to the estimate."""
         visitor, study, proportions, seconds = self.visitors.find(choice.name), None, None, None
         if order is not None and visitor is not None:
             study = read_study(study_file(order))
@@ -343,7 +343,7 @@ class Studio:
         return self.order((visitor, source, scene), self.check_extras(choice.name, choice.extras))
 
     def _compiling(self, scene: Scene) -> float:
-        """The time is 0 if a running job may be compiling the kernels."""
+        """Predict the time to compile the kernels [s]; 0 if a running job may be compiling them."""
         if self.forks or not DEVICE.acquire(blocking=False):
             return 0.0
         try:

@@ -85,7 +85,7 @@ def _describe_as_file(component: Any, name: str) -> Any:
 
 
 def refusal(text: str) -> gr.Error:
-    """Create the error for a program. The error is not logged, because the server did not fail."""
+    """Create the error that a program receives; it is not logged, as the server did not fail."""
     return gr.Error(text, print_exception=False)
 
 

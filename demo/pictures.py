@@ -151,7 +151,8 @@ def cut_once(
 def _find_basis(upload: Path, first: Path, pick: Point | None, deadline: Deadline) -> Path | None:
     """Return the cut-out that strokes correct; None if the picture shows no object.
 
-    The cut-out may have been removed in the meantime. Its use keeps it among the newest.
+    A cut-out that has been removed is created again. Its time of change is set to the present, so
+    that older files are removed first.
     """
     if not first.exists():
         try:

@@ -30,7 +30,7 @@ MINIMUM = 0.2
 
 
 class Learned:
-    """Costs per unit of work of each stage, which finished runs correct; thread-safe."""
+    """Costs of each stage per unit of work, corrected by finished runs; thread-safe."""
 
     def __init__(self) -> None:
         self.now = Rates()
@@ -61,8 +61,7 @@ class Learned:
             self._seen = {name: deque([value] * 2, WINDOW) for name, value in costs.items()}
 
     def assume(self, rates: Rates, work: Work) -> None:
-        """Use these costs in a process that cannot measure costs; finished runs correct these
-        costs.
+        """Use these costs, which finished runs correct, if this process cannot measure costs.
         """
         with self._lock:
             self.now = self.measured = rates
@@ -127,6 +126,6 @@ def _per(seconds: float, amount: float) -> float | None:
 
 
 def _at_most(fraction: float, seconds: float, amount: float, cost: float) -> float:
-    """Limit the cost of a unit of work to a fraction of the mean cost of the stage."""
+    """Return the cost, limited to a fraction of the stage's time per unit of work."""
     usual = _per(seconds, amount)
     return cost if usual is None else min(cost, fraction * usual)

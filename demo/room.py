@@ -39,7 +39,7 @@ class Room:
 
     @property
     def runs(self) -> float:
-        """Largest total size of uploads, runs and exports [bytes]; new visitors need the rest."""
+        """Largest total size of uploads, runs and exports [bytes]; the rest is for new visitors."""
         return 0.9 * self.all
 
     @property
@@ -96,7 +96,7 @@ def change_time(path: Path) -> float:
 
 
 def renew(path: Path) -> None:
-    """Count a file or a folder as used at this moment, because the oldest entries are removed."""
+    """Set the time of a file's last use to the present; the oldest files are removed first."""
     with suppress(OSError):  # the entry no longer exists
         os.utime(path)
 

@@ -96,7 +96,7 @@ Source = Cutout | GaussianFile
 
 @dataclass(frozen=True)
 class Choice:
-    """What a visitor has chosen for a run."""
+    """A visitor's inputs for a run."""
 
     name: str
     source: Source | None

@@ -68,7 +68,7 @@ class Measurement(BaseModel):
     def promise(self, cells: int) -> Promise:
         """Return the measured error on a grid as a `Promise`.
 
-        If the object may have torn on any grid, the result has no error, but a message.
+        If the object may have torn on any grid, return a message instead of an error.
         """
         torn = [level.name for level in self.levels if level.torn]
         if torn:

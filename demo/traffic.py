@@ -87,7 +87,7 @@ class Turns:
         together: int = TOGETHER,
         each: int = EACH,
     ) -> None:
-        """Wrap the application that receives the requests after they have waited.
+        """Wrap an application, so that requests wait in the queue before they reach it.
 
         Args:
             app: The application to wrap.

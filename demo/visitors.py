@@ -1,7 +1,8 @@
 """Files of visitors: each visitor has a folder whose name cannot be guessed.
 
-The folder caches results under a key of all inputs of a stage, so a stage runs again only if an
-input has changed. Each line shows a path and the inputs of its key:
+The folder stores the result of a stage under a key, which is a hash of the stage's inputs. A stage
+therefore runs again only if an input has changed. Each line shows a path and the inputs that its
+key depends on:
 
     uploads/NAME                  pictures, videos and files of Gaussians, as sent
     cutouts/KEY.png               picture, brush strokes
@@ -278,9 +279,10 @@ class Visitors:
     def sweep(self, late: float = 0.0) -> None:
         """Remove idle visitors and unclaimed files, and measure the files of all other visitors.
 
-        Visitors whose folder another program has removed are also removed, so that their pages send
-        their files again. For `late` seconds since the last call, the server could not process
-        requests, for example because it was suspended; this time does not count as silence.
+        If another program has removed a visitor's folder, the visitor is also removed; the
+        visitor's page then uploads the files again. For `late` seconds since the last call, the
+        server could not process requests, for example because it was suspended; this time does not
+        count as idle time.
         """
         with self._lock:
             for visitor in self._known.values():
@@ -318,13 +320,13 @@ class Visitors:
             self._make_room()
 
     def _claim(self, size: float, most: float) -> None:
-        """Unclaimed uploads are removed first, then idle visitors."""
+        """Free disk space: remove unclaimed uploads first, then idle visitors."""
         while self.used + size > most:
             if not self.arrivals.drop():
                 self._make_room()
 
     def _make_room(self) -> None:
-        """The visitor is removed from the address that has most idle visitors."""
+        """Remove the visitor who has been idle longest at the address with most idle visitors."""
         idle = [(n, v) for n, v in self._known.items() if not v.has_begun and v.silence > 1]
         if not idle:
             raise _full(len(self))

@@ -142,7 +142,7 @@ class Clients:
 
 
 def _wake(obey: Obey) -> None:
-    """A job that calls this function wakes the waiting thread."""
+    """Do nothing; as a job in the queue, this function wakes the waiting thread."""
     del obey
 
 

@@ -135,8 +135,8 @@ class McapSink:
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         """Complete the recording; after a disk error, leave the file unchanged.
 
-        After any other error, the older recording is kept. If there is no frame, it gets its name
-        back, as if the recording had never started.
+        After any other error, the older recording is kept. If no frame was recorded, the new file
+        is removed and the older recording is renamed back.
         """
         if self._stream.closed:
             return
@@ -222,7 +222,7 @@ class McapSink:
         self._writer.add_metadata(bag.RECORD, {"options": options, **about})
 
     def _finish(self, *, replaces: bool) -> None:
-        """Complete the file; `replaces` states whether the older recording is no longer needed."""
+        """Complete the file; if `replaces` is true, remove the older recording."""
         self._writer.flush()
         bag.describe(self._writer, (self.path if self._single else self.file).name, self._counts)
         self._write_record(self._report())
@@ -243,7 +243,7 @@ class McapSink:
             log.warning("The older recording is kept in %s.", self._older)
 
     def _failure(self) -> Incomplete:
-        """A file without a frame is removed, and the older recording gets its name back."""
+        """Close the file, and return the error; remove a file without frames."""
         try:
             self._stream.close()
         except OSError:

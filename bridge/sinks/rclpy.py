@@ -221,7 +221,7 @@ class RclpySink:
 
     @contextmanager
     def _until_shutdown(self) -> Iterator[None]:
-        """Errors that follow a shutdown of ROS become a KeyboardInterrupt."""
+        """Raise KeyboardInterrupt instead of any error that follows a shutdown of ROS."""
         try:
             yield
         finally:

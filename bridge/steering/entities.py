@@ -163,7 +163,7 @@ class Entities:
         return result(Code.NOT_FOUND, f"There is no {name!r}, only {', '.join(self._motions)}.")
 
     def _overlapping(self, bounds: Any) -> set[str] | None:
-        """The result is None if the bounds are empty."""
+        """Return the names of the entities that overlap the bounds; None if these are empty."""
         if bounds.type == EMPTY:
             return None
         first, second = (np.array([p.x, p.y, p.z]) for p in bounds.points[:2])

@@ -50,7 +50,7 @@ def object_frame(options: Options, name: str) -> str:
 
 
 def centre_frames(live: Live, options: Options) -> dict[str, NDArray[np.float64]]:
-    """Return the origins [3], m, of the frames at centres of mass, by the name of the frame."""
+    """Return the centres of mass [3], m, by the names of the coordinate frames at these points."""
     centres = live.centres if live.scene.objects else {}
     frames = {object_frame(options, name): place for name, place in centres.items()}
     return {centre_frame(options): live.centre} | frames

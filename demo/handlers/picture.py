@@ -113,7 +113,7 @@ def ways(made: GaussianFile) -> dict[str, Any]:
 
 
 def _cutting(studio: Studio, job: Job) -> dict[str, Any]:
-    """For a cut-out, the value contains the usual duration [s]."""
+    """Return the panel's value while a job runs, with the usual duration of a cut-out [s]."""
     if job.kind == "read":
         return {"job": job.name, "reads": True}
     seconds = studio.search_seconds
@@ -121,7 +121,7 @@ def _cutting(studio: Studio, job: Job) -> dict[str, Any]:
 
 
 def _picture(job: Job) -> dict[str, Any] | None:
-    """The result is None if browsers cannot show the picture's format."""
+    """Return the picture of a job; None if browsers cannot show its format."""
     path = Path(job.subject)
     shows = job.kind == "cut" and path.is_file() and is_shown(path)
     return file_of(path) if shows else None
@@ -132,7 +132,7 @@ def _not_cut(error: InputError) -> dict[str, Any]:
 
 
 def _admit(studio: Studio, request: gr.Request) -> str:
-    """Return the name of the visitor who sends a request, within the limits of the address."""
+    """Return the name of a request's visitor; create the visitor if the address may have more."""
     name = visitor_of(request)
     studio.visitors.get(name, address_of(request))
     return name

@@ -248,8 +248,7 @@ def on_prepare(studio: Studio) -> Handler:
 def takeaway_of(done: Done) -> dict[str, Any]:
     """Return the download panel's value: files of a result, and formats created on request.
 
-    Handlers store the request under the key "asked", so that the panel can ignore answers for a
-    result that it no longer shows.
+    Handlers add the requested format under the key "asked".
     """
     files, offers = [], []
     frames, gaussians = read_shape(done.clip / "clip.safetensors")

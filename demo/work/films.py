@@ -88,7 +88,7 @@ def film(order: Order, clips: Path, out: Path, limits: Limits) -> None:
 
 
 def _keep_view(clip: Clip, scene: Scene, order: Order, folder: Path) -> None:
-    """Write a copy of the clip with the scene of the videos, if the clip's own view differs."""
+    """Write a copy of the clip with the view of the videos, if the clip has another view."""
     named = json.loads(hide_uploads(order, json.dumps(scene.data())))
     if Scene.from_data(named).view != Scene.of_clip(clip.scene).view:
         replace(clip, scene=named).save(folder / "clip.safetensors")

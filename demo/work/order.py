@@ -142,7 +142,7 @@ def made_gaussians(order: Order) -> Path:
 
 
 def trial_key(order: Order) -> str:
-    """Return the key of the run time that a trial run predicts for an order."""
+    """Return the key under which the run time from a trial run is stored."""
     composed = stages_done(order)["composed"]
     return key(made_gaussians(order).name, order.scene.data(), composed)
 

@@ -62,7 +62,7 @@ def others_of(visitor: Visitor, scene: Scene, generator: str) -> tuple[Other, ..
 
 
 def with_crops(scene: Scene, others: tuple[Other, ...]) -> Scene:
-    """Return a copy of the scene in which each of these objects has the crop of its picture."""
+    """Return a copy of the scene in which each of `others` has the crop of its cut-out."""
     objects = list(scene.objects)
     for other in others:
         with Image.open(other.cutout) as cutout:

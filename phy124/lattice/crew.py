@@ -286,7 +286,7 @@ class Crew:
         outputs: list[Any],
         cells: NDArray[np.int64] | None = None,
     ) -> wp.Launch | None:
-        """Record a launch over the blocks of some cells; None: the cells with points in `span`."""
+        """Record a launch over blocks of `cells`; by default, the cells with points in `span`."""
         if cells is not None:
             blocks = self._pack(cells)
         else:

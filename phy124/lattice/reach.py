@@ -1,7 +1,8 @@
 """Finds the cells, points and nodes that forces on points reach.
 
-Most forces act on a part of a body, such as the part that a hand holds. The other points then need
-no positions and velocities in each substep, and the other nodes no second kick.
+Most forces act on a part of a body, such as the part that a hand holds. Positions and velocities
+are then computed in each substep only for the points on which forces act. Only the nodes of these
+points get a second kick.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ MOST = 0.5
 
 
 class Reach(NamedTuple):
-    """What the forces reach, in one worker's share of the cells and nodes."""
+    """One worker's cells, points and nodes that the forces reach."""
 
     cells: NDArray[np.int64] | None
     """Indices of the cells; None: all cells of the worker."""
@@ -52,7 +53,7 @@ def cells_of(forces: Sequence[Stage], count: int) -> NDArray[np.int64] | None:
 def find_reach(
     cells: NDArray[np.int64] | None, lattice: RestLattice, workers: Sequence[Worker], device: str
 ) -> list[Reach]:
-    """Return what forces on points reach, for each worker.
+    """Return, for each worker, the cells, points and nodes that forces on points reach.
 
     Args:
         cells: Indices of the cells with these points, sorted; None: all cells.

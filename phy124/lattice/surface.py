@@ -5,8 +5,9 @@ nodes get no weight. The weights are then corrected to reproduce every linear fu
 With the exact weights at the surface, contact would act mostly on the lightest nodes, which would
 vibrate.
 
-Points are sorted by eight groups. Points of one group are at least about one cell apart. In this
-order, the error after a Gauss-Seidel sweep is a tenth of the error after a sweep from row to row.
+The points are sorted into eight groups. Points of one group are at least about one cell apart. In
+this order, the error after a Gauss-Seidel sweep is a tenth of the error after a sweep from row to
+row.
 """
 
 from __future__ import annotations

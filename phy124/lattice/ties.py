@@ -4,8 +4,8 @@ The motion of a tied node is extrapolated from heavier nodes. The transpose of t
 distributes the tied node's force and mass over these nodes, so that momentum and angular momentum
 are conserved. The extrapolation is exact for linear functions.
 
-The mass of a node inside the body is for the density of the material around each node. Otherwise,
-all nodes of a material 1000 times lighter than the rest of the body would be tied.
+A node's mass is compared with the mass of an inner node of the same density. Otherwise, all nodes
+of a material 1000 times lighter than the rest of the body would be tied.
 """
 
 import numpy as np
@@ -84,9 +84,9 @@ def share_mass(
 ) -> tuple[NDArray[np.float64], scipy.sparse.csr_matrix]:
     """Move mass from heavy nodes to nodes lighter than `least`; return the new masses.
 
-    The total mass and its centre are preserved. No node loses more than half of its mass. The
-    returned matrix [N,N] moves forces along with the mass, since the moved mass has the
-    acceleration of the light node.
+    The total mass and its centre are preserved. No node loses more than half of its mass. Forces
+    are moved along with the mass, because the moved mass gets the acceleration of the light node;
+    the returned matrix [N,N] moves them.
 
     Args:
         index: Indices of the nodes [N,3].
@@ -134,7 +134,7 @@ def _tie(
     of at least `giving`. Nodes in a common cell with the light node are preferred, because other
     nodes may belong to another part of the body, such as a leaf near a stem. If the heavy nodes
     nearby do not determine the motion and `far` is true, heavy nodes up to a distance of `FAR` are
-    used. `whole` is the mass of a node inside the body. All masses are in kg [N].
+    used. `whole` is the mass of an inner node of the same density. All masses are in kg [N].
     """
     count, thin = len(index), mass < THIN * whole
     light, heavy = np.flatnonzero(mass < least), np.flatnonzero(mass >= giving)

@@ -197,7 +197,7 @@ def suggest_experiment(names: Sequence[str]) -> str:
 def find_unseen(names: Sequence[str], jacobian: Values, spread: float) -> Undecided | None:
     """Return an error if exact measurements cannot determine all values, otherwise None.
 
-    The weighted Jacobian [M,P] refers to fractions of the values' ranges. `spread` is the norm of
+    In the weighted Jacobian [M,P], values are fractions of their ranges. `spread` is the norm of
     the weighted measurements.
     """
     effects = np.linalg.norm(jacobian, axis=0)

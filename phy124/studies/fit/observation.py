@@ -153,7 +153,8 @@ def at_times(times: Values, values: Values, wanted: Values) -> Values:
 def divide(track: NDArray[np.int64], times: Values) -> Groups:
     """Return the group of each row [R] of a table, from 0.
 
-    A group contains the rows of a point or wall, whose index is `track` [R], or a part of them.
+    `track` [R] is the index of the point or wall that a row belongs to. A group contains rows of
+    one point or wall that are consecutive in time.
     """
     counts = np.bincount(track)
     parts = -(-FEWEST // len(counts))

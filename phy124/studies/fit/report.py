@@ -124,7 +124,7 @@ def _values(runs: Runs, estimate: Estimate, cells: int) -> dict[str, Any]:
 
 
 def _note_coarse(estimate: Estimate, cells: int) -> list[str]:
-    """Return a note if the values are extrapolated to a grid that is coarser than all others.
+    """Return a note if the values are extrapolated to a grid coarser than those of the fit.
 
     In a fit on 16 and 24 cells to a clip of 10 cells, the value on 10 cells was off by 2.2 %, four
     times the half-width of its interval.
@@ -139,7 +139,7 @@ def _note_coarse(estimate: Estimate, cells: int) -> list[str]:
 
 
 def _notes(runs: Runs, fitted: dict[str, Any]) -> Iterator[str]:
-    """Yield a note for each value that, or whose interval, is not within the searched range."""
+    """Yield a note for each value whose interval extends beyond the searched range."""
     count = len(runs.names)
     least, most = runs.values(np.zeros(count)), runs.values(np.ones(count))
     for name, value in fitted.items():

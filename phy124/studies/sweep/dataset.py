@@ -68,7 +68,7 @@ def pack(storage: Storage, per_file: int) -> int:
     """Write all complete clips to tar files with at most `per_file` clips; return their number.
 
     Each clip is stored as two files: KEY.clip.safetensors, and KEY.json with its row of the
-    manifest. Further numbered tar files, for example of a longer plan, are removed.
+    manifest. Numbered tar files that are left from a longer plan are removed.
     """
     rows = [row for row in read_manifest(storage) if row["status"] == "done"]
     groups = [rows[start : start + per_file] for start in range(0, len(rows), per_file)]

@@ -160,7 +160,7 @@ def _alike(tables: list[Any], arrow: Any) -> list[Any]:
 
 
 def _newest(table: Any, keys: NDArray) -> NDArray:
-    """Return the place of the newest row of each key in a table; each key has a row."""
+    """Return the index of each key's newest row in a table that contains all keys."""
     rows = table["key"].to_numpy().astype("S")
     order = np.lexsort((table["written"].to_numpy(), rows))
     return order[np.searchsorted(rows[order], keys, side="right") - 1]

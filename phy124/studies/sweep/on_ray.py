@@ -171,8 +171,8 @@ def _mute(ray: Any) -> None:
     """Stop Ray from printing messages about dead workers, which would corrupt JSON on standard
     output.
 
-    Ray prints them even with `log_to_driver=False`. In some versions of Ray, the private attribute
-    is missing, and the messages are printed.
+    Ray prints them even with `log_to_driver=False`. A private attribute of Ray disables them; in
+    versions of Ray without this attribute, they are printed.
     """
     worker: Any = getattr(getattr(ray, "_private", None), "worker", None)
     if hasattr(worker, "_worker_logs_enabled"):

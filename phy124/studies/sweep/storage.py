@@ -142,7 +142,7 @@ def stamp(address: str) -> object:
 def list_matching(pattern: str) -> list[str]:
     """Return the sorted addresses of all files that match a path or pattern.
 
-    The name of an existing file is no pattern, even if it has brackets.
+    The path of an existing file is not treated as a pattern, even if it contains brackets.
 
     Raises:
         InputError: No file matches the pattern, or the folder cannot be read.

@@ -79,7 +79,7 @@ def memory_of_gpu(device: str) -> float | None:
 
 
 def _part(state: float, gpu_memory: float) -> float:
-    """Return 1 / (number of tasks that fit into a GPU's memory)."""
+    """Return the fraction of a GPU that a task needs: 1 / (tasks that fit into its memory)."""
     fit = int(gpu_memory // (CONTEXT + UNSURE * state))
     return 1.0 / max(1, min(SHARERS, fit))
 
@@ -219,7 +219,7 @@ def clean_up(order: Order) -> bool:
 
 
 def write_row(storage: Storage, key: str, clip: Item | Order, result: Row) -> Row:
-    """Write the row of a clip, and return the row. If the clip was made, the row marks this.
+    """Write the row of a clip, and return the row. The file's name marks finished clips.
 
     Args:
         storage: The sweep's storage.

@@ -130,7 +130,7 @@ def fill_solid(
     upper: Sequence[float] | NDArray[Any],
     voxel: float,
 ) -> Solid:
-    """Return the solid inside a surface; the surface is flat in each part of a voxel.
+    """Return the solid inside a surface, approximated by a plane in each part of a voxel.
 
     Args:
         distance: Signed distance of points [...,3] from the surface [m], negative inside.
@@ -213,7 +213,7 @@ def make_lattice_solver(
 
 
 def measure_wall_force(solver: LatticeSolver, start: float, end: float) -> Array:
-    """Return the mean force on a body from its first wall, between two times [s], [3], N."""
+    """Return the mean force [3], N, of the first wall on a body between two times [s]."""
     solver.advance(start)
     before = host(solver.walls.sums)[0, :3]
     solver.advance(end)

@@ -198,7 +198,7 @@ class Study:
         ), f"{name}: {torn}" if torn else ""
 
     def _forecast(self, simulation: Simulation) -> float:
-        """Forecast the time of a user's run [s], in which the energy loss is not split by cause."""
+        """Forecast the time of the same run without the analysis of energy losses [s]."""
         scene = simulation.scene
         if scene.checks.energy:
             checks = scene.checks.model_copy(update={"energy": False})

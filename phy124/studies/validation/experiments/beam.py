@@ -242,7 +242,7 @@ def _end_region(at: float, dx: float) -> Region:
 
 
 def _steps(loads: Sequence[float]) -> Keyframes:
-    """In the first third of a load's duration, the factor rises to the load."""
+    """Return factors that rise to each load during the first third of its duration."""
     hold = _duration_of_load()
     times, factors = [0.0], [0.0]
     for number, load in enumerate(loads):

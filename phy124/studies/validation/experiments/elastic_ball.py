@@ -224,4 +224,4 @@ def _press(
         K = coo_array((values, places), shape=(size, size)).tocsr()
         change[free] = np.asarray(spsolve(K[free][:, free].tocsc(), -(off + K @ change)[free]))
         u = u + change
-    raise RuntimeError(f"no equilibrium of the ball found at depth {depth:g} R")
+    raise RuntimeError(f"no equilibrium of the ball found at a depth of {depth:g} radii")

@@ -103,7 +103,7 @@ def slide_particles(cells: int, slope: float, friction: float, *, across: bool) 
 
 
 def _tilt(slope: float, *, across: bool) -> Slope:
-    """Tilt the incline against the grid if `across` is true, otherwise gravity."""
+    """Return a tilted incline if `across` is true, else a level plane with tilted gravity."""
     sine, cosine = math.sin(math.atan(slope)), math.cos(math.atan(slope))
     if across:
         return Slope((cosine, 0.0, -sine), (sine, 0.0, cosine), (0.0, 0.0, -GRAVITY))

@@ -83,7 +83,7 @@ def _draw_values(
 
 
 def _draw_rows(axes: Any, outcome: Outcome) -> None:
-    """Deviations are in per cent, or absolute if the published value is zero."""
+    """Draw deviations in per cent, or absolute ones if the published value is zero."""
     estimates = outcome.estimates
     rows = range(len(estimates))
 

@@ -52,7 +52,7 @@ def run_out(aspect: float, law: tuple[float, float, float]) -> float:
 def publish() -> tuple[Quantity, ...]:
     """Return the run-out of each column by Lube's law for sand.
 
-    The band extends from 0.9 times this run-out to that by Lajeunesse's law for glass beads.
+    The band extends from 0.9 times this run-out to the run-out by Lajeunesse's law for glass beads.
     """
     ways = [(aspect, run_out(aspect, LUBE), run_out(aspect, LAJEUNESSE)) for aspect in ASPECTS]
     return tuple(Quantity(f"H/L = {a:g}", low, 0.9 * low, high, a) for a, low, high in ways)

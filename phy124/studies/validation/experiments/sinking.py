@@ -40,9 +40,9 @@ def sink(cells: int, viscosity: float) -> Values:
 def exact_loss() -> float:
     """Return the loss of height of a slender column without inertia.
 
-    A slice whose distance from the top is s resists its load with the stress 3 eta times its rate
-    of strain, and its cross-section grows. Its stretch is therefore 1 / (1 + c s t), with c = rho g
-    / (3 eta).
+    A slice at the distance s from the top carries the weight above it. Its stress is 3 eta times
+    its rate of strain, and its cross-section grows. Its stretch is therefore 1 / (1 + c s t), with
+    c = rho g / (3 eta).
     """
     s = (np.arange(1000) + 0.5) / 1000
     stretch = 1 / (1 + 1000 * GRAVITY * HEIGHT / (3 * VISCOSITY) * DURATION * s)

@@ -1,4 +1,4 @@
-"""Case 30: the remedies in error messages help."""
+"""Case 30: runs get further if a user follows the remedies in error messages."""
 
 from collections.abc import Iterator
 from typing import Any

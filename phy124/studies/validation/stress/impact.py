@@ -135,7 +135,7 @@ SHAPES = {"sphere": (0.2, 0.2, 0.2), "box": (0.25, 0.2, 0.15), "capsule": (0.15,
 
 
 def free(setting: Setting) -> list[Check]:
-    """Check what is conserved when a spinning free solid hits a block off-centre."""
+    """Check momenta and energy when a spinning free solid hits a block off-centre."""
     checks = []
     for shape, half in SHAPES.items():
         for ratio in (1e-2, 1.0, 1e2):

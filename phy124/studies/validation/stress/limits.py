@@ -211,7 +211,7 @@ def heavy_on_light(ratio: float, setting: Setting, until: float) -> Stack:
 
 
 def mass_ratio(setting: Setting) -> list[Check]:
-    """Check that a block can rest on a block with 1, 1/100 or 1/10,000 of the upper mass."""
+    """Check that a block can rest on another one with 1, 1/100 or 1/10,000 of its mass."""
     checks = []
     for ratio in (1.0, 1e2, 1e4):
         stack = heavy_on_light(ratio, setting, 0.4 if setting.long else 0.02)

@@ -93,10 +93,10 @@ def bodies(setting: Setting) -> list[Check]:
 
 
 def bodies_on_lattices(setting: Setting) -> list[Check]:
-    """Check the same bodies on lattices, and the buoyancy of a stone on the floor.
+    """Check bodies on lattices like `bodies`, and the buoyancy of a stone on the floor.
 
-    An undamped body with a hundredth of the density would be simulated by MPM
-    (`phy124.scene.lattices`).
+    The bodies are damped, because phy124 simulates an undamped body with a hundredth of the
+    liquid's density by MPM (`phy124.scene.lattices`).
     """
     checks = []
     for name, density, E in BODIES:

@@ -32,17 +32,17 @@ Inside = Callable[[Array], NDArray[np.bool_]]
 
 
 def cone(x: Array) -> NDArray[np.bool_]:
-    """Return whether points are in a cone on its tip (half-angle 25 degrees)."""
+    """Return whether points are in a cone that stands on its tip (half-angle 25 degrees)."""
     return np.hypot(x[:, 0], x[:, 1]) < x[:, 2] * np.tan(np.radians(25))
 
 
 def needle(x: Array) -> NDArray[np.bool_]:
-    """Return whether points are in a cone on its tip (half-angle 10 degrees)."""
+    """Return whether points are in a cone that stands on its tip (half-angle 10 degrees)."""
     return np.hypot(x[:, 0], x[:, 1]) < x[:, 2] * np.tan(np.radians(10))
 
 
 def edge(x: Array) -> NDArray[np.bool_]:
-    """Return whether points are in a wedge on its edge (half-angle 45 degrees)."""
+    """Return whether points are in a wedge that stands on its edge (half-angle 45 degrees)."""
     return (np.abs(x[:, 0]) < x[:, 2]) & (x[:, 2] < 0.5) & (np.abs(x[:, 1]) < 0.4)
 
 
