@@ -196,7 +196,7 @@ class Play:
     def _outlets(
         self, say: Say, duration: float | None, **about: Any
     ) -> Iterator[tuple[LiveSink, list[Sink]]]:
-        """Every recording stores the metadata `about`."""
+        """Open the live sink and the recording, which stores the metadata `about`."""
         backend, messages = choose(self.backend), self.messages
         with ExitStack() as stack:
             sink = open_sink(

@@ -106,7 +106,7 @@ class FrameEncoder:
         return messages + self._pictures(frame, stamp)
 
     def _pictures(self, frame: Frame, stamp: int) -> list[Message]:
-        """The messages with transforms come first."""
+        """Return the messages of a frame's pictures; messages with transforms come first."""
         pictures = frame.pictures if isinstance(frame, SeenFrame) else ()
         links = {p.name: transform_of(p, self.options, stamp) for p in pictures if not p.fixed}
         messages = [cdr.message(TF, stamp, {"transforms": [*links.values()]})] if links else []

@@ -249,7 +249,7 @@ class Player:
         self._rebase(first, again + missed * period / self.speed)
 
     def _splice(self, time: float) -> None:
-        """After a jump in the clip, the next time stamp is one interval later than the last one."""
+        """Continue the time stamps after a jump in the clip: the next is one interval later."""
         if self._stamp is not None:
             self._offset = self._stamp + self.interval - time
         self._shown_at = -math.inf

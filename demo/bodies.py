@@ -148,7 +148,7 @@ def _too_large(said: str) -> PlainTextResponse:
 
 
 async def _drain(receive: Receive) -> None:
-    """A client reads the answer only after it has sent the whole body."""
+    """Receive up to `DRAIN` bytes of a body, because clients read the answer only afterwards."""
     read, more = 0, True
     while more and read < DRAIN:
         message = await receive()

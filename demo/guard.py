@@ -111,7 +111,7 @@ def _without_port(place: str) -> str:
 
 
 def _usual(place: str) -> str:
-    """Browsers omit the default port."""
+    """Remove the default ports, which browsers omit."""
     return re.sub(r":(80|443)$", "", place)
 
 

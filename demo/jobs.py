@@ -329,7 +329,7 @@ class Studio:
         return visitor, source, self._scene(visitor, choice)
 
     def _scene(self, visitor: Visitor | None, choice: Choice) -> Scene:
-        """A scene may name uploads of the visitor but no other files."""
+        """Validate a scene, which may name the visitor's uploads but no other files."""
         uploads = visitor and visitor.folder / "uploads"
         scene = scene_of(choice.data, choice.limits or self.settings, uploads)
         for _, path in files_named(scene):

@@ -155,7 +155,7 @@ def _save(images: list[Image.Image], scene: Scene, step: int, path: Path, qualit
 
 
 def _film(clip: Clip, view: View, camera: Camera, step: int) -> list[Image.Image]:
-    """The background is transparent, because the page may be light or dark."""
+    """Render frames with a transparent background, because the page may be light or dark."""
     frames, shine = list(clip.frames())[::step], make_shine(clip, view)
     if shine is not None:
         frames = [shine.illuminate(frame, camera) for frame in frames]

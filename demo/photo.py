@@ -26,7 +26,7 @@ FETCHES_NOTHING = "This page downloads nothing from an address. Send the file it
 
 
 def _refusing(model: Any, name: str) -> Any:
-    """For values that are not files, the error message contains the name of the argument."""
+    """Return a model that refuses values that are not files, and names the argument `name`."""
 
     class Sent(model):
         # This is no pydantic validator, because the calling program would not see its exceptions.

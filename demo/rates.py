@@ -61,8 +61,7 @@ class Learned:
             self._seen = {name: deque([value] * 2, WINDOW) for name, value in costs.items()}
 
     def assume(self, rates: Rates, work: Work) -> None:
-        """Use these costs, which finished runs correct, if this process cannot measure costs.
-        """
+        """Use these costs, which finished runs correct, if this process cannot measure costs."""
         with self._lock:
             self.now = self.measured = rates
             self._first = work
@@ -104,7 +103,7 @@ def _observe(report: dict[str, Any], scene: Scene) -> tuple[Work, dict[str, floa
 
 
 def _variable(rates: Rates, work: Work, spent: dict[str, float]) -> dict[str, float]:
-    """Costs that cannot be determined are left out."""
+    """Return the costs per particle, frame and pixel; omit costs that are undetermined."""
     fixed = {
         "particle": rates.substep * work.substeps + rates.node * work.nodes,
         "pixel": rates.video * work.videos,

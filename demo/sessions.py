@@ -99,8 +99,8 @@ class Sessions(StateHolder):
                     self._remove(name)
 
     def _make_room(self, address: str) -> None:
-        """If the address has too many sessions, remove one. Sessions of absent visitors are removed
-        first, then those of the visitor with most sessions.
+        """Remove a session if the address has too many: a session of an absent visitor or, if all
+        are present, of the visitor with most sessions.
         """
         origins = {k: origin for k, origin in self._origins.items() if origin.address == address}
         if len(origins) < ADDRESS:

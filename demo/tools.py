@@ -213,7 +213,7 @@ class ToolServer:
         ]
 
     async def _call(self, name: str, arguments: dict[str, Any]) -> types.CallToolResult:
-        """The agent receives errors as sentences; errors of the server are logged."""
+        """Run a tool; return errors as sentences for the agent, and log errors of the server."""
         try:
             if name not in self.tools:
                 raise gr.Error(f"There is no tool {name[:40]}. Use {', '.join(self.tools)}.")
@@ -298,7 +298,7 @@ def _answer(text: str, data: dict[str, Any], *, failed: bool = False) -> types.C
 
 
 def _summary(result: Mapping[str, Any]) -> str:
-    """Only the run, links and sentences of a result become text; the rest is structured data."""
+    """Return the run, the links and the sentences of a result as text for the agent."""
     lines = [f"run: {result['run']}"] if "run" in result else []
     lines += [str(result[name]) for name in ("sentence", "error") if result.get(name) is not None]
     lines += [f"[{Path(link).name}]({link})" for link in result.get("files", [])]

@@ -126,7 +126,7 @@ def _note(message: Warning | str, *_: object) -> None:
 
 
 def _report(problem: BaseException, *, as_json: bool, verbose: bool) -> int:
-    """With `as_json`, the message is also printed to standard output, as JSON."""
+    """Print an error message, with `as_json` also as JSON to standard output; return the status."""
     from phy124.runtime.installation import with_program
 
     cause = failure(problem)

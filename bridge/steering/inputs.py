@@ -195,7 +195,7 @@ class Inputs:
         )
 
     def _hold(self) -> None:
-        """A point in an object's coordinate frame selects that object."""
+        """Grab or move an object; the coordinate frame of the point selects the object."""
         frame = self._grab.header.frame_id
         name = self._objects.get(frame)
         pose = self._transforms.pose(frame)

@@ -144,6 +144,6 @@ def _watch(job: Job, out: Path) -> None:
 
 
 def _folder(visitor: Visitor, done: Done, upload: Path, asked: FitOptions) -> Path:
-    """A fit to the same video continues in the same folder."""
+    """Return the folder of a fit; an equal fit to the same video continues in this folder."""
     options, view = asked.model_dump(exclude={"seconds"}), done.view.model_dump(mode="json")
     return visitor.folder / "fits" / f"{done.clip.name}-{key(upload.read_bytes(), options, view)}"

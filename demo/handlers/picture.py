@@ -193,6 +193,6 @@ def on_view_cut(studio: Studio) -> Handler:
 
 
 def _answer(event: gr.EventData, **values: Any) -> dict[str, Any]:
-    """The answer repeats the event's number, so that the panel can ignore outdated answers."""
+    """Return an answer with the event's number, so that the panel can ignore outdated answers."""
     asked = {name: value for name, value in data_of(event).items() if name in ("option", "ask")}
     return {"answer": {**asked, **values}}

@@ -151,7 +151,7 @@ class Player:
         self._sent_notes += unsent
 
     def _head(self, text: str) -> bytes:
-        """The JSON text is padded with spaces to a multiple of four bytes."""
+        """Return the binding's head: a length, and JSON padded to a multiple of four bytes."""
         head = {
             "splats": len(self._lattice.gaussians),
             "nodes": len(self._lattice.nodes),
@@ -168,7 +168,7 @@ class Player:
 
 
 def _newest_targets(lines: list[str]) -> list[dict[str, Any]]:
-    """Of successive positions of the hand, only the last is kept."""
+    """Parse the lines; of successive positions of the hand, keep only the last."""
     messages: list[dict[str, Any]] = []
     for message in map(json.loads, lines):
         if messages and message["do"] == "to" == messages[-1]["do"]:

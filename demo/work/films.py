@@ -95,7 +95,7 @@ def _keep_view(clip: Clip, scene: Scene, order: Order, folder: Path) -> None:
 
 
 def _add_stages(stages: list[dict[str, Any]], others: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """The times of a stage that is in both reports are added."""
+    """Merge the stages of two reports; add the times of stages that are in both."""
     joined = {stage["name"]: stage for stage in stages}
     for stage in others:
         before = joined.get(stage["name"], {"seconds": 0.0})["seconds"]

@@ -97,7 +97,7 @@ def _stage(frame: Frame, scene: Scene, rest: AtRest) -> Stage | None:
 
 
 def _camera(frame: Frame, scene: Scene) -> Camera:
-    """A margin is left around the object, because the motion is not known yet."""
+    """Return a camera with a margin around the object, because its motion is not known yet."""
     rest = Clip.from_frames([frame])
     clip = Clip(**{**vars(rest), "scene": scene.data()})
     usual = {"size": (GLIMPSE, GLIMPSE), "fit": False}

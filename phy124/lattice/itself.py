@@ -59,9 +59,9 @@ class Meeting:
     ) -> None:
         """Prepare the contact; initially, no points touch.
 
-        `restore` [1/s] is the gain of the speed at which penetrating points separate. `sample` [K]
-        contains the indices of the sampled points. `sums` are impulse and moment of the first body
-        on the second.
+        `restore` [1/s] is the speed at which penetrating points separate, divided by their depth.
+        `sample` [K] contains the indices of the sampled points. `sums` are impulse and moment of
+        the first body on the second.
         """
         self.bodies, self._sums = bodies, sums
         self._restore, self._friction = restore, friction

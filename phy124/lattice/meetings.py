@@ -43,7 +43,7 @@ class Meetings(Kept):
     ) -> None:
         """Prepare the contact; initially, no points touch.
 
-        `restore` [1/s] is the gain of the speed at which penetration is reduced.
+        `restore` [1/s] is the speed at which penetrating points separate, divided by their depth.
         """
         self.work: ContactWork | None = None
         self.way = math.inf

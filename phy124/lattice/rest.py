@@ -280,7 +280,7 @@ class RestLattice:
         return result
 
     def passes_to(self, pushed: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Return which nodes receive a part of the pushes on the nodes `pushed` [N]."""
+        """Return a mask of the nodes that receive part of the forces on the nodes `pushed` [N]."""
         receives: NDArray[np.bool_] = (abs(self.pushes) @ pushed.astype(np.float32)) > 0
         return receives
 

@@ -203,8 +203,8 @@ class Bodies(Kept):
     def describe(self, cells: Cells, walls: Walls, ahead: float) -> None:
         """Write the shape and the velocity of all bodies into the cells.
 
-        The positions of bodies are extrapolated by `ahead` [s]. Otherwise, a floating body would
-        gain energy.
+        The positions of bodies are extrapolated by `ahead` [s]; without this extrapolation, a
+        floating body would gain energy.
         """
         self._ahead = ahead
         model, state, real = self._model, self._state, self._model.real

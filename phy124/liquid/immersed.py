@@ -34,7 +34,7 @@ MARGIN = 4
 
 
 class ImmersedClock(MixedClock, LatticeClock):
-    """The clock of the bodies' substeps; the liquid's velocities are delayed."""
+    """The clock of the bodies' substeps; it includes the delay of the liquid's velocities."""
 
 
 class ImmersedLattices(LatticeSolver):

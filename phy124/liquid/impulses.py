@@ -17,7 +17,7 @@ class WallImpulses:
     """Impulses of the walls in the current step, per worker, and totals over all steps."""
 
     def __init__(self, names: Sequence[str], count: int, workers: int, device: str) -> None:
-        """`count` is the number of walls and freely moving solids; the solids come last."""
+        """Allocate sums for `count` walls and freely moving solids; the solids come last."""
         self.names = tuple(names)
         """Names of the walls of boundaries; these walls come first among all walls."""
         walls, real = max(count, 1), wp.float64

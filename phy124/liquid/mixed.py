@@ -241,7 +241,7 @@ class MixedSolver(Solver):
 
 
 class OfModel:
-    """A force, or sums, for the particles of another model than the solver's."""
+    """A force, or sums, that act on the particles of a model other than the solver's model."""
 
     def __init__(self, item: Any, model: Model, state: State) -> None:
         self._item, self._model, self._state = item, model, state

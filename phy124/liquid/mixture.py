@@ -19,7 +19,7 @@ class Mixture:
     """Density and viscosity of the liquids in a run, relative to reference values."""
 
     def __init__(self, model: Model, runs: Sequence[slice] = (), workers: int = 1) -> None:
-        """`runs` are the slices of the liquids' particles."""
+        """Compute densities and viscosities; `runs` are the slices of the liquids' particles."""
         self._model = model
         mass, volume = (np.asarray(a.numpy(), np.float64) for a in (model.mass, model.volume))
         viscosities = _viscosities(model)

@@ -66,8 +66,8 @@ class Phases:
         bodies: Bodies | None,
         liquids: Sequence[slice],
     ) -> None:
-        """`missed` [W,1] is 1 for each worker with a particle outside the window; `liquids` are the
-        slices of the liquids' particles.
+        """Store the arrays. `missed` [W,1] is 1 for each worker with a particle outside the window;
+        `liquids` are the slices of the liquids' particles.
         """
         self._model, self._state, self._cells = model, state, cells
         self._projection, self._workers, self._missed = projection, workers, missed

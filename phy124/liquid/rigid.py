@@ -52,7 +52,7 @@ class Moments:
     """Sums over particles from which the rigid motions of bodies are computed."""
 
     def __init__(self, model: Model, runs: Sequence[slice]) -> None:
-        """`runs` are the slices of the bodies' particles."""
+        """Allocate the sums; `runs` are the slices of the bodies' particles."""
         self._model, self._runs = model, list(runs)
         shape = (len(self._runs), MOMENTS)
         self._rows = wp.zeros(shape, dtype=wp.float64, device=model.device)

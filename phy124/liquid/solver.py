@@ -298,9 +298,9 @@ class LiquidSolver(Kept):
     def start(self) -> None:
         """Move particles out of walls, and restore the rest density, without changing velocities.
 
-        All observers must be bound before this call. The energy balance starts afterwards, because
-        the balance should not include the lift of the liquid out of a floor or out of a crowded
-        tank.
+        All observers must be bound before this call. The energy balance starts after this call, so
+        that it does not include the energy for moving liquid out of a floor, or for expanding a
+        liquid that is too dense.
         """
         self._fit()
         if self.walls.move:

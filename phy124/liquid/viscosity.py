@@ -130,7 +130,7 @@ class Viscosity:
         yield [self._anticipate(worker, 1.0)]
 
     def omit_slivers(self, worker: int) -> list[Recorded]:
-        """Return a worker's launch that leaves the velocities of slivers to the extrapolation."""
+        """Return a worker's launch that marks velocities in slivers of liquid for extrapolation."""
         if self.rate == 0:
             return []
         cells, mixture = self._cells, self._mixture
@@ -140,7 +140,7 @@ class Viscosity:
         return [(STAGE, cells.record(worker, kernel, inputs, [cells.known]))]
 
     def release(self, worker: int) -> list[Recorded]:
-        """Return a worker's launch that improves the pressure solution as the next first guess."""
+        """Return a worker's launch that subtracts the viscous pressure from the pressure."""
         if self.rate == 0:
             return []
         kernel = viscous.make_release(self._model.real)
@@ -178,7 +178,7 @@ class Viscosity:
         return STAGE, self._model.launch(kernel, parts, inputs, outputs)
 
     def _strain(self, worker: int, turn: int = -1) -> Recorded:
-        """Return a launch that computes a direction; without `turn`, the stresses of u."""
+        """Return a launch that computes a search direction, or the stresses of u without `turn`."""
         part, window, *listed = self._list_of(worker)
         z, after, before = self._u, self._directions[0], self._directions[1]
         if turn >= 0:

@@ -1,4 +1,4 @@
-"""Crossing: notes that a body on a lattice is deep inside a wall."""
+"""Crossing: reports if a body on a lattice is deep inside a wall."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -34,7 +34,7 @@ class LatticeCrossing(Observer):
         return inner
 
     def after_attempt(self) -> Violation | None:
-        """Measure how deep points are inside walls; this is never an error."""
+        """Measure how deep points are inside walls; a large depth is not treated as an error."""
         depth, inside = self._solver.walls.depth()
         if depth > max(DEEP, self._deepest):
             pinched, first, second = self._solver.pinch()

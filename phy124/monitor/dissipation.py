@@ -1,8 +1,8 @@
 """Dissipation: computes how much energy is lost to the material, to walls and to the grid.
 
 Viscous materials dissipate the work of the rate-dependent part of their stress. Plastic and fluid
-materials also dissipate the work of the other part, minus the stored elastic energy. Walls
-dissipate energy by friction. All other losses are numerical.
+materials also dissipate the work of the remaining stress, minus the elastic energy that they store.
+Walls dissipate energy by friction. All other losses are numerical.
 """
 
 from collections.abc import Iterator, Mapping, Sequence

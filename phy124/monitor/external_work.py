@@ -107,8 +107,8 @@ class ExternalWork(Observer):
         return cls(summed=setup.subject.changes)
 
     def __init__(self, *, summed: bool = False) -> None:
-        """If `summed` is set, the work of a constant acceleration is also summed in every substep,
-        because forces and boundaries may be replaced during the run.
+        """Prepare the sums. If `summed` is set, the work of a constant acceleration is also summed
+        in every substep, because forces and boundaries may be replaced during the run.
         """
         self._summed = summed
         self._device: dict[str, wp.array] = {}

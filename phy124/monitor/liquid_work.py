@@ -1,8 +1,8 @@
 """LiquidWork: sums the work of a uniform acceleration on a liquid with projected pressure.
 
-The work is the acceleration times the displacement of the liquid's centre of mass in each step. A
-product with the momentum from a sum of impulses would add up the errors of the walls' impulses: the
-liquid in a still tank would seem to sink, and lose potential energy.
+The work is the acceleration times the displacement of the liquid's centre of mass in each step.
+Work computed from the sum of impulses would add up the errors in the walls' impulses: the liquid in
+a still tank would seem to sink and to lose potential energy.
 """
 
 from collections.abc import Sequence
@@ -52,7 +52,7 @@ class StepWork(ExternalWork):
 
     @property
     def _wet(self) -> Any:
-        """The liquid's solver. It is not stored, because its bodies may refer to this observer."""
+        """The liquid's solver; it is not stored, because its bodies may refer to this observer."""
         return getattr(self._pool, "liquid", self._pool)
 
     def begin(self, momentum: Sums) -> None:

@@ -171,7 +171,7 @@ class MixedDissipation(PoolDissipation):
         return solver.liquid
 
     def _of_bodies(self, stored: float) -> dict[str, float]:
-        """The work of moving walls on the bodies includes friction."""
+        """Return the bodies' losses and the work of moving walls, including friction [J]."""
         assert self._external is not None
         work = self._external.of_grids()
         walls, contact = (work, 0.0) if self._driven else (0.0, 0.0 - work)

@@ -168,8 +168,8 @@ class Sleep(Observer):
         return speed / self._fps / (2 * math.pi)
 
     def _pins_material(self) -> bool:
-        """Return whether something holds the material against the acceleration `a`. In the time t,
-        free material would move by `a t^2 / 8`.
+        """Return whether something holds the material against the acceleration `a`. Free material
+        would move by at least `a t^2 / 8` from its mean position during the time t.
         """
         pull: NDArray[Any] = self._solver.tracks.values.numpy()
         way = float(np.linalg.norm(pull[0, :3])) * (len(self.speeds) / self._fps) ** 2 / 8

@@ -29,7 +29,7 @@ class Softening(Observer):
     """Multiplies Young's moduli by a factor that changes in time."""
 
     def __init__(self, scene: Scene, material: NDArray) -> None:
-        """`material` [P] is the index of each particle's material."""
+        """Store the scene and the index of each particle's material, `material` [P]."""
         self._scene, self._material = scene, material
         self.factor = 1.0
 

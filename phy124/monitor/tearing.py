@@ -201,7 +201,7 @@ class Pieces:
             self._sizes = np.bincount(self._body)
 
     def loose(self, x: NDArray) -> int:
-        """Return how many particles at x [P,3], m, have left the largest part of their piece."""
+        """Return the number of particles at x [P,3], m, outside the largest part of their piece."""
         now = labels(self._spread(x), self._side)
         if now is None or self._body is None or now.max() == 0:
             return 0

@@ -213,7 +213,7 @@ class Watchdog(Observer):
         return frame
 
     def diagnose(self, problem: str) -> Violation:
-        """Return why the solver stopped, with a responsible particle."""
+        """Return the reason why the solver stopped, and the particle that caused it."""
         broken = find_broken(self.state)
         if len(broken):
             return Violation(f"{problem}, first {self._describe(int(broken[0]))}", self._unstable())

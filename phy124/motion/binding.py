@@ -40,7 +40,7 @@ class Binding(NamedTuple):
     ) -> NDArray[np.float32]:
         """Return weighted means [N,3] of values on the particles [P,3].
 
-        `alone` [N] is the part of the nearest particle that replaces the mean; default 0.
+        The fraction `alone` [N] of each mean is replaced by the nearest particle's value.
         """
         if self.weights is None:
             return values[self.particles].astype(np.float32)
@@ -90,7 +90,7 @@ def pick_values(gaussians: Gaussians, particles: Particles, values: NDArray) -> 
 def _carriers_of(
     gaussians: Gaussians, particles: Particles
 ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-    """A Gaussian and the particles that carry it belong to the same object."""
+    """Return the particles of the same object that carry each Gaussian, and their weights."""
     if particles.body is None or gaussians.object_id is None:
         return _carriers_within(gaussians.means, particles.x, particles.volume)
     neighbours = np.zeros((len(gaussians), CARRIERS), np.int32)

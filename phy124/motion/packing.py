@@ -243,7 +243,7 @@ def _base(name: str, rest: NDArray) -> NDArray[np.float64]:
 
 
 def _mean_volumes(particles: Particles) -> NDArray[np.float64]:
-    """The binding does not need the volumes of individual particles, so means are stored."""
+    """Return the mean volume per body for each particle [P]; the binding needs no other volumes."""
     body = np.zeros(len(particles.x)) if particles.body is None else particles.body
     volume = particles.volume.astype(np.float64)
     for number in np.unique(body):
@@ -270,7 +270,7 @@ def _unpack_steps(data: bytes, shape: tuple[int, int, int]) -> NDArray[np.int32]
 
 
 def _pack_exact(name: str, array: NDArray) -> tuple[NDArray[np.uint8], dict[str, Any]]:
-    """A column that equals the previous column takes no bytes."""
+    """Pack an array without loss; a column that equals the previous column takes no bytes."""
     columns = _columns(array)
     last, chunks = None, []
     for index in _column_order(name, len(columns)):
@@ -303,7 +303,7 @@ def _unpack_exact(data: NDArray, facts: Mapping[str, Any]) -> NDArray:
 
 
 def _column_order(name: str, count: int) -> Sequence[int]:
-    """The real part of quaternions is last, because it is computed from the other parts."""
+    """Return the order of columns; the real part of quaternions is computed last."""
     return (1, 2, 3, 0) if name.endswith("quats") and count == 4 else range(count)
 
 
@@ -342,7 +342,7 @@ def _unzigzag(values: NDArray) -> NDArray:
 
 
 def _compress(values: NDArray) -> bytes:
-    """Bytes of equal significance are stored next to each other."""
+    """Compress numbers after placing bytes of equal significance next to each other."""
     planes = np.ascontiguousarray(values).reshape(-1).view(np.uint8)
     planes = np.ascontiguousarray(planes.reshape(-1, values.dtype.itemsize).T)
     level = LEVELS[values.size > FAST]

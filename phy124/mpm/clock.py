@@ -172,8 +172,8 @@ class Clock(Kept):
 
     @contextmanager
     def halve(self, failed: float) -> Iterator[None]:
-        """Take substeps of at most half the usual length and half the length `failed` [s];
-        0: unknown.
+        """Limit substeps in this context to half the usual length, and to half of `failed` [s], the
+        length of the failed substep (0: unknown).
         """
         usual = self.cfl, self.ceiling, self.measure_every
         self.cfl, self.ceiling = usual[0] / 2, min(usual[1], failed or math.inf) / 2

@@ -35,8 +35,8 @@ Task = Callable[[int], None]
 class Team:
     """Runs tasks on a separate thread for each member; member 0 is the caller's thread.
 
-    The caller starts a task for the other members with `put`, executes the part of member 0 itself,
-    and starts the next task; `put` first waits for the other members. Before entering `running`,
+    The caller starts a task for the other members with `put`, and executes the part of member 0
+    itself. The next call of `put` first waits for the other members. Before entering `running`,
     load every kernel that tasks launch, since loading is not thread-safe.
     """
 

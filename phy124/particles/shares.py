@@ -1,8 +1,9 @@
 """Divides the cells of a lattice among the parts of a body.
 
-Otherwise, each part would end at whole cells, with a wrong mass and bending stiffness. A cell that
-several parts share occurs once for each part, with the same nodes, but with points at the moments
-of the part's share. Shares are exact up to the size of a sample, a fraction of a voxel.
+Without this division, each part would end at the border of a cell, with a wrong mass and bending
+stiffness. A cell that several parts share occurs once for each part, with the same nodes, but with
+points at the moments of the part's share. Shares are exact up to the size of a sample, a fraction
+of a voxel.
 """
 
 from __future__ import annotations
@@ -110,9 +111,10 @@ def divide_cells(
 
 
 def find_excess(points: Particles, solid: Solid, parts: Parts) -> float:
-    """Return by which fraction the cells that move exceed the volume of the material that moves.
+    """Return the excess of the moving cells' volume over the moving material's volume. The excess
+    is a fraction of the material's volume.
 
-    `points` are the result of `divide_cells`. The fraction is negative if volume is missing.
+    `points` are the result of `divide_cells`. It is negative if the cells have too little volume.
     """
     pieces = _pieces(solid, parts)
     volume = pieces.volume[~parts.static[pieces.part]].sum()

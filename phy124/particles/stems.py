@@ -6,12 +6,13 @@ and the second moments of the stem's samples across its axis. The unit of length
 
 The moments are means in a ball that moves across the direction in which the samples extend
 farthest, until its middle lies on the axis. At the border of a sheet, the ball moves into the
-sheet. Parts of sheets are therefore no stems.
+sheet. Parts of sheets are therefore not treated as stems.
 
-In a cross-section wider than the ball, the ball can stay at the rim. Its ellipse would then extend
-beyond the rim, and into the material behind it that belongs to faces. At such a rim, the samples of
-a voxel lie inside of the ellipse, and there are many samples far outside of it. The majority of the
-voxels nearby decides, since a cross-section of ellipses and faces may have gaps.
+In a cross-section wider than the ball, the ball can stay at the rim. The ellipse in this ball would
+then extend beyond the rim, and into inner material whose surface consists of faces. Such a rim is
+recognised if the samples of a voxel lie well inside the ellipse, and many other samples lie far
+outside. The majority of the voxels nearby decides, since a cross-section of ellipses and faces may
+have gaps.
 """
 
 from __future__ import annotations

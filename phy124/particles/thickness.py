@@ -87,8 +87,8 @@ def _inside(shape: Solid) -> NDArray[np.bool_]:
 
 @lru_cache(maxsize=4)
 def local_thickness(shape: Solid) -> float:
-    """Return the thickness [m] that all but `FRACTION` of the object's volume exceeds, but at least
-    the side of a voxel.
+    """Return the local thickness [m] that only `FRACTION` of the object's volume does not reach; at
+    least the side of a voxel.
     """
     # Removing the empty voxels around the solid halves the time to compute distances.
     inside = np.pad(_inside(shape), 1)

@@ -81,7 +81,7 @@ def _have_two_clusters(heights: Array, fits: NDArray[np.bool_]) -> NDArray[np.bo
     """Return for each row of heights [M,K] whether the heights for which `fits` [M,K] is true form
     two clusters.
 
-    Rows are divided at all heights (Otsu 1979).
+    Each height of a row is tried as the threshold between the clusters (Otsu 1979).
     """
     order = np.argsort(np.where(fits, heights, np.inf), axis=1)
     weight = np.take_along_axis(fits, order, axis=1).astype(np.float64)

@@ -1,4 +1,4 @@
-"""Writes a clip for another program, and notes what its format cannot hold."""
+"""Writes a clip for another program, and notes the data that the format cannot store."""
 
 from pathlib import Path
 from typing import NamedTuple

@@ -202,7 +202,7 @@ def make_object(
 
 @contextmanager
 def _errors_naming_files(depth: DepthMap | None, views: OtherViews | None) -> Iterator[None]:
-    """Within this context, errors about a depth map or a further picture name its file.
+    """Add the file's name to errors about a depth map or a further picture in this context.
 
     Raises:
         InputError: The original error, with the file as the value.
@@ -315,7 +315,7 @@ def check_sources(scene: Scene, more: Sequence[PathLike]) -> None:
 
 
 def at_rest(path: PathLike) -> tuple[Gaussians, Crop | None]:
-    """Return what `at_rest_in` returns for the object of a stored clip.
+    """Return the Gaussians at rest of a stored clip's only object, as `at_rest_in` does.
 
     Raises:
         InputError: The file is not a clip, or the clip has several objects.
@@ -328,8 +328,8 @@ def at_rest(path: PathLike) -> tuple[Gaussians, Crop | None]:
 
 
 def at_rest_in(clip: Clip) -> tuple[Gaussians, Crop | None]:
-    """Return the Gaussians of a clip's objects in the first frame, without their grains, and the
-    first object's position in its picture, which clips of earlier versions lack.
+    """Return the Gaussians of a clip's objects in the first frame, without grains, and the first
+    object's position in its picture (None in clips of earlier versions).
     """
     crop = clip.report.get("crop")
     return clip.surface.frame(0).gaussians, crop and tuple(crop)

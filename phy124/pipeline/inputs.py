@@ -96,5 +96,5 @@ def refuse_other_inputs(inputs: dict[str, str], before: dict[str, str], out: Pat
 
 
 def _digest(path: Path) -> str:
-    """Return the digest of a file; of a pipe, which can be read only once, only the prefix."""
+    """Return the digest of a file; only the prefix for a pipe, which can be read only once."""
     return DIGEST if obstacle(path) else DIGEST + compute_sha256(path)

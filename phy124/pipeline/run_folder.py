@@ -110,7 +110,7 @@ class RunFolder:
     def _save_and_film(
         self, folder: Path, before: set[str], run: Simulation, clip: Clip, interrupted: bool
     ) -> Result:
-        """`before` are the names of the files of an earlier run."""
+        """Save the results and render the videos; `before` are the files of an earlier run."""
         report = self._save(folder, run, clip, interrupted)
         del self.packing  # frees the memory of the solver
         made = set(deliver(folder) if self.keep else ())
@@ -319,7 +319,7 @@ def _without_films(out: Path, made: Iterable[str], *, resumes: bool) -> Incomple
 
 
 def _without_frames(error: Exception) -> Incomplete:
-    """`error` is why the files could not be written to the folder for temporary files."""
+    """Return the exception for frames that could not be saved in a temporary folder either."""
     why, remedy = failure(error).sentence.rstrip("."), ""
     if isinstance(error, OSError):
         remedy = ". Set --out or TMPDIR to a folder in which this user may write"

@@ -127,8 +127,9 @@ def _in_order(
 ) -> bool:
     """Return whether each row of a file belongs to the Gaussian with the same index.
 
-    Rows without positions do. Rows with positions do if a rotation, a scale and a displacement move
-    the positions `points[kept]` [N,3] to the centres `means` [N,3], m.
+    The result is True for rows without positions. For rows with positions, it is True if a
+    rotation, a scale and a displacement map the positions `points[kept]` [N,3] to the centres
+    `means` [N,3], m.
     """
     if points is None:
         return True

@@ -82,7 +82,7 @@ class Dents:
 
 
 def _outward(x: NDArray, cell: float) -> NDArray[np.float64]:
-    """The normals point to where the density of the object, with its interior, decreases."""
+    """Return the directions in which the density of the object, with its interior, decreases."""
     _, place, size = locate(x, cell)
     flat = number(np.rint(place), size)
     filled = np.zeros(size, bool)
@@ -139,6 +139,6 @@ def _rows(rows: NDArray, columns: NDArray, values: NDArray, shape: tuple[int, in
 
 
 def _unit(vectors: NDArray) -> NDArray:
-    """Vectors of length 0 remain zero."""
+    """Normalise vectors [n,3]; vectors of length 0 remain zero."""
     length = np.sqrt(np.einsum("ni,ni->n", vectors, vectors))[:, None]
     return vectors / np.maximum(length, 1e-12)

@@ -131,8 +131,9 @@ def _encode_sides(
     images: Iterator[Picture],
     context: RunContext,
 ) -> dict[tuple[str, str], Path]:
-    """If an encoder fails, its exception is raised after the other videos are complete. Pictures
-    are ordered by frame, then by side; `first` is the index of `sides[0]` in the view.
+    """Encode the videos of some sides; return their paths by format and side. If an encoder fails,
+    its exception is raised after the other videos are complete. Pictures are ordered by frame, then
+    by side; `first` is the index of `sides[0]` in the view.
     """
     watch, fps = context.watch, playback(clip.fps, view)
     before, total = first * len(loop.order), len(view.sides) * len(loop.order)

@@ -76,7 +76,7 @@ def still_camera(clip: Clip, view: View, side: str) -> Camera:
 
 
 def _nearest(clip: Clip, view: View, poses: Poses) -> list[Camera]:
-    """The cameras show a motion of at most `LARGEST` object sizes."""
+    """Return the nearest cameras that show the motion, up to `LARGEST` object sizes."""
     low, high = _box(clip, view)
     size = float((high - low).max())
     sample, count = Sample.of(clip), len(clip)
@@ -234,7 +234,7 @@ def _radii(points: NDArray[np.floating], cameras: list[Camera]) -> Values:
 
 
 def _box(clip: Clip, view: View) -> tuple[NDArray, NDArray]:
-    """If the object can fall, the box around the resting object reaches the ground."""
+    """Return the box around the object at rest, extended to the ground if the object can fall."""
     corners = Sample.of(clip).corners
     if corners is None:
         limit = "all Gaussians of its first frame have NaN or infinite values."

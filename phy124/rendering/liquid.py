@@ -203,8 +203,8 @@ class Liquid:
 
         `cell` is the cell size of the simulation's grid [m]. The liquid dims light to 1/e over the
         distance `visibility` [m]; None means opaque. Without volumes [N], m^3, equal volumes fill
-        the liquid at rest. A `calm` liquid is so viscous that the rows of its particles must not be
-        visible in its gloss.
+        the liquid at rest. `calm` states that the liquid is very viscous; the gloss of such a
+        liquid is smoothed, because it would show the rows of the particles.
         """
         self._cell, self._visibility, field = cell, visibility, Field(x, cell, planes)
         self._calm = calm

@@ -265,7 +265,7 @@ class _Seen:
         return not np.allclose(self.axes, self.axes[0])
 
     def standing(self, halves: Values, zoom: float) -> Standing:
-        """`halves` [2] is defined as in `Camera.halves`."""
+        """Return the cameras' nearest position; `halves` [2] is defined in `Camera.halves`."""
         halves = halves / zoom
         edges = self._edges(halves).max(axis=0)
         if not self.turning:
@@ -281,8 +281,8 @@ class _Seen:
         return Standing(float(edges.max()), np.zeros(3), zoom)
 
     def _between(self, edges: Values, halves: Values) -> tuple[Values, Values]:
-        """Return the distances [...] m and shifts [...,3] m of cameras that show the space between
-        edges.
+        """Return the distances [...] m and shifts [...,3] m at which both opposite picture edges
+        touch the sample.
         """
         shift = halves * (edges[..., 0] - edges[..., 1]) / 2
         return edges.sum(axis=-1).max(axis=-1) / 2, shift @ self.axes[0, :2]

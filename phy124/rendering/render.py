@@ -288,7 +288,7 @@ class Renderer:
         return self._seen[1]
 
     def _project(self, gaussians: Gaussians, view: Any) -> None:
-        """The results are the buffers `splats`, `order` and the marks that `_counts` sums."""
+        """Compute the buffers `splats` and `order`, and the marks that `_counts` sums."""
         n = len(gaussians)
         splats, tiles = self._buffer("splats", n, screen.Splat), self._buffer("tiles", n, wp.vec4i)
         # Sorting needs buffers of twice the size of the arrays.
@@ -319,8 +319,8 @@ class Renderer:
             self._count_on_device(corners.reshape(shape), view)
 
     def _count_on_device(self, corners: wp.array, view: Any) -> None:
-        """The projection marks the four corners of each splat's rectangle of tiles. Cumulative sums
-        along both axes turn these marks into numbers of splats.
+        """Count the splats per tile by cumulative sums along both axes, from the marks at the four
+        corners of each splat's rectangle of tiles.
         """
         tiles = view.rows * view.columns
         counts: Any = self._buffer("counts", tiles + 1, wp.int32)[: tiles + 1]
@@ -341,8 +341,8 @@ class Renderer:
         return corners.cumsum(0, np.int64).cumsum(1)[:-1, :-1].ravel()
 
     def _bin_on_device(self, n: int, view: Any) -> tuple[Any, Any, Any]:
-        """The number of splats stays on the device. If the lists need more than `_room` entries,
-        the lists stay empty.
+        """List the splats of each tile, without copying their number to the host. If the lists need
+        more than `_room` entries, the lists stay empty.
         """
         tiles, room = view.rows * view.columns, self._room
         before: Any = self._buffers["before"]

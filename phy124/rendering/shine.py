@@ -226,7 +226,7 @@ class Shine:
         return gaussians
 
     def _keep(self, index: int, surface: tuple[Gaussians, dict[str, NDArray]]) -> None:
-        """If all surfaces together exceed `KEPT` bytes, the oldest surfaces are removed."""
+        """Store a surface; remove the oldest surfaces if all together exceed `KEPT` bytes."""
         with self._adding:
             self._surfaces[index] = surface
             while len(self._surfaces) * 8 * surface[0].sh.nbytes > KEPT:
@@ -328,7 +328,7 @@ def _planes(clip: Clip) -> list[Planes]:
 
 
 def _foams(liquid: dict[str, Any]) -> bool:
-    """A report without viscosities has no foam."""
+    """Return whether a liquid foams; a liquid without a viscosity in its report does not."""
     return liquid.get("viscosity", np.inf) <= FOAMS
 
 

@@ -110,7 +110,7 @@ def driver() -> Driver:
 def _library_version() -> Version | None:
     """Read the CUDA version that the driver supports from the driver's library.
 
-    Warp does not tell the version of an old driver, because Warp does not load such a driver.
+    Warp does not report the version of an old driver, because Warp does not load such a driver.
     """
     version = ctypes.c_int()
     for name in LIBRARIES:

@@ -176,7 +176,7 @@ def _is_whole(file: Path) -> bool:
 
 @contextmanager
 def _alone(folder: Path | None) -> Iterator[None]:
-    """Within this context, no other process or thread compiles the code of this folder's module.
+    """Let no other process or thread compile the code of this folder's module in this context.
 
     A process that has waited finds the module compiled. The first module of a cache also compiles
     the headers, so all modules wait for the first module.

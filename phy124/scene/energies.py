@@ -21,8 +21,8 @@ def energy(scene: Any, thickness: float | None = None) -> float:
 
     The result is `v^2 + p^2 + 2 a h + sum(min(a L, a^2 t^2))`. Here v is the initial speed (with
     spin) plus the speed gained in impacts, and p is the speed of walls and grabs. A force causes
-    the acceleration `a` during the time `t`. The object has the lift h and the size L. Wind
-    accelerates an object at most to the speed of the wind.
+    the acceleration `a` during the time `t`. The object starts at the height h above the ground and
+    has the size L. Wind accelerates an object at most to the speed of the wind.
     """
     bodies, size, end = (scene.object, *scene.objects), scene.object.size, duration(scene)
     mass = _mass(scene, thickness)

@@ -166,7 +166,7 @@ class Pair(Section):
 
 
 def check_objects(first: Object, others: Sequence[SceneObject]) -> None:
-    """Check the objects' names, and on what each object stands.
+    """Check that names differ, and that each object stands on the floor or a known object.
 
     Raises:
         ValueError: Two names are equal, or an object stands on itself or on an unknown object.

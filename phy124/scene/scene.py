@@ -155,7 +155,7 @@ class Scene(Section):
 
     @property
     def _damped_twice(self) -> bool:
-        """Whether RPIC damping changes a matrix C from which viscous stresses are computed."""
+        """Whether RPIC damping changes the matrices C, from which viscous stresses are computed."""
         viscous = any(math.isfinite(section.viscous_limit(self.dx)) for section in self.materials)
         return self.resolution.rpic_damping > 0 and (viscous or self.properties is not None)
 

@@ -137,8 +137,9 @@ def _on_floor(
 ) -> _Read:
     """Return the upright object without floaters, on its floor at z = 0.
 
-    `reduce` reduces the number of Gaussians of a set. Object and floor keep at most `most` together
-    (None: all), so that the Gaussians of the floor do not count for the size of the object.
+    `reduce` reduces the number of Gaussians of a set. Object and floor together keep at most `most`
+    Gaussians (None: all). Both are reduced separately, so that the floor does not affect the size
+    of the object.
     """
     every = opened.gaussians
     visible = every.means[every.opacities >= VISIBLE]

@@ -153,7 +153,7 @@ def _check(x: Vectors, floor: Floor, total: int) -> None:
 
 
 def _spread(x: Vectors) -> float:
-    """Return the median distance from the middle; outliers hardly affect the median."""
+    """Return the median length of vectors, which outliers hardly affect; 0 without vectors."""
     return float(np.median(np.linalg.norm(x, axis=1))) if len(x) else 0.0
 
 

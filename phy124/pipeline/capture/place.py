@@ -1,4 +1,4 @@
-"""Finds where the object in a file of Gaussians was in the picture over which files are painted."""
+"""Finds the position of an object in the picture over which masks are painted."""
 
 from pathlib import Path
 
@@ -28,7 +28,7 @@ def find_crop(file: PlyFile) -> Crop | None:
 
 
 def note_stretched(file: PlyFile, scene: Scene) -> list[str]:
-    """Return a note on painted files if the object's position in their picture is unknown."""
+    """Return a note if the object's position in the picture of painted masks is unknown."""
     painted = [field for field, _ in files_named(scene) if field.startswith(PAINTED)]
     if not painted:
         return []

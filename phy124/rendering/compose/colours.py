@@ -79,8 +79,8 @@ def _fit_colours(
     photograph: Photograph,
     each: Callable[[], object],
 ) -> Gaussians:
-    """The matrix W maps the colours of Gaussians to pixels, and r is the residual. Each step adds
-    `(W^T r) / (W^T 1)` to the colours (SIRT), with Nesterov's momentum.
+    """Fit the colours by SIRT with Nesterov's momentum: each step adds `(W^T r) / (W^T 1)`. The
+    matrix W maps the colours of Gaussians to pixels, and r is the residual.
     """
     photo, inside = photograph.rgb / np.float32(255), photograph.alpha[..., None] > 0.9
     pixels, _ = camera.project(gaussians.means[seen].astype(float))

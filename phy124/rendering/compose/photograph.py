@@ -151,7 +151,7 @@ def likeness(
 
 
 def _elevation(renderer: Renderer, gaussians: Gaussians, photograph: Photograph) -> float:
-    """`relief` turns some objects upright although they were photographed from above."""
+    """Return the elevation [degrees] at which the object looks most like its photograph."""
     small = photograph.reduce(SMALL)
     if not (small.alpha > 0.99).any():
         return 0.0
@@ -198,7 +198,7 @@ def _camera(eye: Any, target: Any, size: tuple[int, int], focal: float, shift: A
 def _correct_camera(
     renderer: Renderer, gaussians: Gaussians, camera: Camera, photograph: Photograph, near: bool
 ) -> Camera:
-    """The alignment method is ECC (Evangelidis and Psarakis 2008)."""
+    """Align the camera with the photograph by the method ECC (Evangelidis and Psarakis 2008)."""
     import cv2
 
     image = renderer(gaussians, camera, BLACK, alpha=True)

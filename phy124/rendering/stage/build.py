@@ -139,7 +139,7 @@ def boundaries_of(clip: Clip) -> Sequence[Boundary]:
 
 
 class _Boundaries(Section):
-    """Boundaries without the objects that they name."""
+    """A list of boundaries; the names of objects in them are not checked."""
 
     boundaries: tuple[AnyBoundary, ...]
 

@@ -141,7 +141,7 @@ def _around_cylinder(axis: NDArray, sizes: NDArray) -> NDArray[np.float64]:
 
 
 def _panel(wall: PlacedWall) -> Solid:
-    """A slope is continued downhill to the floor."""
+    """Return the slab that shows a plane; a slope is continued downhill to the floor."""
     point, normal, _ = wall.shape
     low, high = wall.span
     middle, half = (low + high) / 2, (high - low) / 2

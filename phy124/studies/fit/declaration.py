@@ -38,8 +38,7 @@ def parse_range(data: Any) -> Any:
 
 
 def _kind(data: Any) -> str:
-    """Return the tag of a range; the type with the tag "even" also refuses invalid data.
-    """
+    """Return the tag of a range; the type with the tag "even" also refuses invalid data."""
     log = isinstance(data, LogUniform) or (isinstance(data, dict) and "log_uniform" in data)
     return "log" if log else "even"
 

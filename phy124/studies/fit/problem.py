@@ -55,7 +55,7 @@ class Distance:
     """
 
     def __init__(self, problem: Problem, scales: Sequence[float] | None = None) -> None:
-        """By default, the scale of a kind is the RMS of its measured values."""
+        """Compute the weights; a kind's default scale is the RMS of its measured values."""
         self.measured, self.kinds = problem.measured, tuple(problem.kinds)
         spreads = [float(np.sqrt(np.mean(self.measured[kind.place] ** 2))) for kind in self.kinds]
         self.scales = tuple(scales or [spread or 1.0 for spread in spreads])

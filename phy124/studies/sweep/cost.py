@@ -116,8 +116,8 @@ class Remaining:
     def __init__(
         self, plan: Plan, numbers: Sequence[int], clock: Callable[[], float] = time.time
     ) -> None:
-        """`numbers` are the clips to make; `clock` returns the present time, as in the column
-        `written`.
+        """Prepare the estimate for the clips with the indices `numbers`; `clock` returns the
+        present time [s], as in the column `written` of the manifest.
         """
         self._plan, self._numbers, self._clock = plan, numbers, clock
         self._start: float | None = None

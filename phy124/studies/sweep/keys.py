@@ -83,7 +83,7 @@ def digest(address: str) -> str:
 
 @lru_cache(maxsize=4096)
 def _digest(address: str, stamp: object) -> str:
-    """`stamp` changes with the file, so that a changed file is read again."""
+    """Return the digest of a file, cached until `stamp` changes with the file."""
     with fetch(address) as path:
         return hashlib.sha256(path.read_bytes()).hexdigest()
 

@@ -110,7 +110,7 @@ class Study:
         return replace(report, interrupted=self.ended is not None)
 
     def _conclude_or_keep(self, rows: list[Row], skipped: tuple[str, ...]) -> Report:
-        """If the comparison fails and `keep` is true, the report contains no errors."""
+        """Return the report; without errors if the comparison fails and `keep` is true."""
         try:
             return self._conclude(rows, skipped)
         except Exception as problem:
@@ -301,7 +301,7 @@ def _without_torn(rows: list[Row], convergence: Convergence) -> Convergence:
 
 
 def _require_particles(per_axis: float | None) -> None:
-    """With too few particles per cell, finer grids are not more accurate."""
+    """Refuse too few particles per cell, because finer grids would then not be more accurate."""
     if per_axis is not None and per_axis < MIN_PARTICLES_PER_AXIS:
         limit = f"with fewer than {MIN_PARTICLES_PER_AXIS}, finer grids are not more accurate."
         remedy = f"Set {MIN_PARTICLES_PER_AXIS} or more, or leave it out."
@@ -316,7 +316,7 @@ def _particles_per_axis(simulation: Simulation) -> float:
 
 
 def _momentum_lost(scene: Scene, watchdog: Watchdog) -> float | None:
-    """Forces and walls may change the angular momentum; its change is then None."""
+    """Return the relative change of angular momentum; None if forces or walls may change it."""
     before, after = watchdog.first, watchdog.last
     start = float(np.linalg.norm(before.angular))
     if scene.acting or scene.boundaries or start == 0:
