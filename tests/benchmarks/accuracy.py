@@ -316,7 +316,7 @@ def main(parts: list[str], *, docs: bool) -> None:
     if wants(parts, "times"):
         made["times"] = markdown(["scene", "target", "grid", "took", "ratio"], time_rows(duck))
     if wants(parts, "goals"):
-        heads = ["scene", "solver", "target", "grid", "estimated", "off a finer run by"]
+        heads = ["scene", "solver", "target", "grid", "estimated", "error"]
         heads += ["more than 1.5 times coarser", "CPU s", ""]
         made["goals"] = markdown(heads, goal_rows(duck, "2px"))
     for name, text in made.items():

@@ -148,7 +148,7 @@ CONTROL = {"preset": 0, "force in the paper": 1, "path [m]": 3, "a t² / 2 [m]":
 TEARING = {"particles per cell and axis": 0, "intact up to a stretch of": 1, "broken at": 2}
 BARS = {"scene": 0, "217deb8": 1, "present": 2, "ratio": 3}
 SIZES = ("gaussians", "cells", "frames")
-GPU = "The table gives the time to simulate presets, and how far the clips of CPU and GPU differ:"
+GPU = "The table gives the times of presets, and the difference between the clips of CPU and GPU:"
 GPU_COLUMNS = {"preset": 0, "16 CPU cores [s]": 1, "H200 [s]": 2, "times faster": 3}
 BLOCKS: dict[str, dict[str, Callable[[], str]]] = {
     "accuracy": {
