@@ -95,6 +95,19 @@ def test_block_keeps_its_depth_while_it_slides_on_a_board():
     assert way == pytest.approx([0.4, 0, 0], abs=0.02 * DX)
 
 
+@pytest.mark.parametrize(("width", "shift"), [(0.4, 0.0), (0.4, 0.025), (0.3, 0.0), (0.2, 0.05)])
+def test_block_slides_freely_on_a_board_as_wide_as_itself(width, shift):
+    """The board's edges must not stop the edges of the block."""
+    board = block((1.2, width, 0.2), low=(-0.2, shift, -0.2), per=4)
+    solids, pull = [board, block((0.4, width, 0.3), low=(0, shift, 0), per=4)], (0, 0, -2.0)
+    moving = {"v": [(0, 0, 0), (1, 0, 0)], "pairs": [Pair(0, 1, 0.0)]}
+    solver = make_bodies(solids, held=[0], forces=[Gravity(g=pull)], **moving)
+    before = momentum_of(solver, 1)[0]
+    solver.advance(0.3)
+    kept = momentum_of(solver, 1) / before
+    assert kept == pytest.approx([1, 0, 0], abs=0.01)
+
+
 def test_solid_box_leaves_a_block_at_rest_that_it_overlaps():
     box = FreeBody("box", "box", (0.2,) * 3, (0.2, 0.2, 0.55))
     solver = make_bodies([block((0.4, 0.4, 0.4))], free=[box])

@@ -30,7 +30,7 @@ AT_ONCE = 16
 BUCKETS = 32
 """Number of buckets along each axis of the search grid."""
 EXPOSED = "nodes", "weights", "slopes", "rest", "normal"
-SEARCHED = "flat", "body", "side", "rest", "normal"
+SEARCHED = "evenness", "body", "side", "rest", "normal"
 """Names of the arrays that `make_expose` and `make_partner` read, in the kernels' order."""
 FOUND = "partner", "direction", "turned", "J", "x"
 """Names of the arrays with results that `find` reads."""
@@ -43,7 +43,7 @@ class Partners:
         self._surface, self._model, self._nodes = surface, model, nodes
         self._division = division
         self._known = np.zeros(surface.count, bool)
-        """Whether each surface point's slopes and flatness are already on the device."""
+        """Whether each surface point's slopes and evenness are already on the device."""
 
     def flagger(
         self, sample: NDArray[np.int64], *, between: bool
@@ -104,7 +104,7 @@ class Partners:
         new = points[~self._known[points]]
         if len(new):
             put(self._arrays["slopes"], self._surface.slopes[new], new)
-            put(self._arrays["flat"], self._surface.flat[new], new)
+            put(self._arrays["evenness"], self._surface.evenness[new], new)
             self._known[new] = True
 
     @cached_property
@@ -149,7 +149,7 @@ class Partners:
             "body": self._numbers(surface.body),
             "side": self._numbers(surface.side),
             "slopes": wp.empty((surface.count, NODES), dtype=t.vec3, device=model.device),
-            "flat": self._zeros(int, surface.count),
+            "evenness": self._zeros(int, surface.count),
         }
 
     @cached_property

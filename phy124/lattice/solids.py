@@ -25,7 +25,7 @@ from phy124.lattice.clamps import PassedOn, distances_from
 from phy124.lattice.equal import find_equal
 from phy124.lattice.gaps import initial_gaps
 from phy124.lattice.impulses import ContactWork
-from phy124.lattice.surface import Surface
+from phy124.lattice.surface import EVEN, Surface
 from phy124.lattice.walls import AHEAD, CLOSE, REACH, Nodes
 from phy124.mpm.free import POINTS, STAGE, FreeBodies, FreeBody, Plane
 from phy124.mpm.kept import Kept
@@ -290,7 +290,7 @@ class _Touch(Kept):
 
     def _turn(self, points: NDArray[np.int64]) -> None:
         surface = self._surface
-        points = points[surface.flat[points]]
+        points = points[surface.evenness[points] == EVEN]
         side = np.zeros((surface.count, 3))
         side[points] = surface.deform(points, self._u.numpy())[2]
         self.side.assign(side)

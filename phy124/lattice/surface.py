@@ -32,8 +32,10 @@ SUPPORTED = 0.5
 """Surface points with a smaller sum of weights on nodes with mass are removed."""
 LEAST = 1e-6
 """Corrected weights with a smaller sum, relative to the sum before the correction, are not used."""
-FLAT = 0.9
-"""A surface point lies at an edge if the mean normal within a cell is shorter than this."""
+FLAT, EVEN = 0.9, 10
+"""A surface point lies at an edge if the mean normal within a cell is shorter than `FLAT`. The
+evenness of flat parts is `EVEN`; smaller numbers are levels of the length of the mean normal.
+"""
 REGULAR = 1e-5
 """Smallest det / trace^3 of matrices of second moments that are inverted by cofactors."""
 
@@ -73,10 +75,10 @@ class Surface:
         return Lazy(np.zeros((self.count, 27, 3)), compute)
 
     @cached_property
-    def flat(self) -> Lazy:
-        """Whether each point is on a flat part of the surface, where nearby normals agree [S]."""
-        compute = partial(_flat_at, self.x, self.normal, self.body, self.dx, KDTree(self.x))
-        return Lazy(np.zeros(self.count, bool), compute)
+    def evenness(self) -> Lazy:
+        """How well the normals near each point agree [S]: from 0 to `EVEN`."""
+        compute = partial(_evenness_at, self.x, self.normal, self.body, self.dx, KDTree(self.x))
+        return Lazy(np.zeros(self.count, np.int64), compute)
 
     def place(self, u: NDArray) -> NDArray[np.float64]:
         """Return the positions of all points [S,3], m.
@@ -127,9 +129,9 @@ def _slopes_at(
     return slopes
 
 
-def _flat_at(
+def _evenness_at(
     x: NDArray, normal: NDArray, body: NDArray, dx: float, tree: KDTree, points: NDArray[np.int64]
-) -> NDArray[np.bool_]:
+) -> NDArray[np.int64]:
     near = KDTree(x[points]).sparse_distance_matrix(tree, dx, output_type="ndarray")
     a, b = near["i"], near["j"]
     # Points on the opposite side of a thin part are ignored.
@@ -137,8 +139,9 @@ def _flat_at(
     same = (b == points[a]) | (aligned & (body[b] == body[points][a]))
     a, b = a[same], b[same]
     total = [np.bincount(a, n, len(points)) for n in normal[b].T]
-    flat: NDArray[np.bool_] = np.linalg.norm(total, axis=0) > FLAT * np.bincount(a)
-    return flat
+    length, enough = np.linalg.norm(total, axis=0), FLAT * np.bincount(a)
+    level = np.minimum((EVEN * length / enough).astype(np.int64), EVEN - 1)
+    return np.where(length > enough, EVEN, level)
 
 
 def make_surface(points: NDArray, lattice: RestLattice) -> Surface:

@@ -182,9 +182,9 @@ def make_expose(real: Any, rows: Rows):
 def make_partner(real: Any):
     """Kernel over `chosen` points from `start` on: finds the nearest opposite position.
 
-    `flat` says which surface points are on a flat part. `x` and `turned` contain the current
-    positions and normals of the points in `chosen`. At an edge of the other part, the contact force
-    is directed along the normal at the point.
+    `x` and `turned` contain the current positions and normals of the points in `chosen`. If the
+    other part is less even than the surface at the point, for example at its edge, the contact
+    force is directed along the normal at the point.
     """
     t = types(real)
 
@@ -196,7 +196,7 @@ def make_partner(real: Any):
         reach,
         dx,
         chosen,
-        flat: Ints,
+        evenness: Ints,
         body: Ints,
         side,
         rest,
@@ -226,7 +226,7 @@ def make_partner(real: Any):
                 opposed = wp.dot(turned[i], n) < real(OTHER) or not (
                     wp.dot(turned[i], turned[i]) > zero
                 )
-                at_edge = flat[a] == 1 and flat[b] == 0 and plain
+                at_edge = evenness[a] > evenness[b] and plain
                 if at_edge:
                     n = -turned[i]
                 sideways = way - wp.dot(way, n) * n
