@@ -148,6 +148,19 @@ def test_plasticine_weakens_to_its_residual(rng):
     assert np.all(np.diff(strengths[2:]) < 1e-6 * material.yield_stress)
 
 
+@pytest.mark.parametrize("E", [3e3, 6e3])
+def test_faster_softening_than_unloading_drops_to_the_residual(E):
+    """A stiffness profile lowers E, but neither yield stress nor softening."""
+    material = Plasticine(yield_stress=500.0, softening=1e4).model_copy(update={"E": E})
+    assert material.softening > 3 * material.lame[0]
+    turn = EYE + np.outer(EYE[0], EYE[1])
+    F, h = evaluate(material, turn[None])[3:]
+    strain = TWINS["hencky"].stress(F, F, h, np.array([material.lame[0], 0.0]))
+    strength = np.sqrt(1.5) * np.linalg.norm(deviator(strain))
+    assert strength == pytest.approx(material.residual * material.yield_stress, rel=1e-5)
+    assert h[0, 0] > 0.3
+
+
 def test_foam_relaxes_at_its_rate():
     """Bingham (n = 1): the excess decays as exp(-2 mu t / eta)."""
     material = Foam(flow_index=1.0, viscosity=1e3, yield_stress=100.0)

@@ -17,7 +17,8 @@ def von_mises(F: Any, h: Any, theta: Any, dt: Any):
     """Project F by a radial return with linear hardening or softening (Simo, Hughes 1998, box 3.1).
 
     theta = (mu, lam, limit, slope, minimum): the limit changes by `slope` per unit of plastic
-    strain, and is at least `minimum`. h[0] is the accumulated plastic strain, the sum of |d e_p|.
+    strain, and is at least `minimum`. h[0] is the accumulated plastic strain, the sum of |d e_p|. If
+    the limit decreases faster than the stress (slope <= -2 mu), the stress drops to `minimum`.
     """
     zero = type(theta[0])(0.0)
     shear = type(theta[0])(2.0) * theta[0]
@@ -27,8 +28,9 @@ def von_mises(F: Any, h: Any, theta: Any, dt: Any):
     excess = shear * size - limit
     if not excess > zero:
         return F, h
-    flow = excess / (shear + theta[3])
-    if limit + theta[3] * flow < theta[4]:
+    tangent = shear + theta[3]
+    flow = excess / tangent
+    if not tangent > zero or limit + theta[3] * flow < theta[4]:
         flow = (shear * size - theta[4]) / shear
     return exponential((-flow / size) * dev) * F, wp.vector(h[0] + flow, h[1])
 
