@@ -17,8 +17,8 @@ def von_mises(F: Any, h: Any, theta: Any, dt: Any):
     """Project F by a radial return with linear hardening or softening (Simo, Hughes 1998, box 3.1).
 
     theta = (mu, lam, limit, slope, minimum): the limit changes by `slope` per unit of plastic
-    strain, and is at least `minimum`. h[0] is the accumulated plastic strain, the sum of |d e_p|. If
-    the limit decreases faster than the stress (slope <= -2 mu), the stress drops to `minimum`.
+    strain, and is at least `minimum`. If the limit decreases faster than the stress (slope <= -2
+    mu), the stress drops to `minimum`. h[0] is the accumulated plastic strain, the sum of |d e_p|.
     """
     zero = type(theta[0])(0.0)
     shear = type(theta[0])(2.0) * theta[0]

@@ -137,8 +137,14 @@ class Material(Section):
         """Return the initial history variables of a particle."""
         return (0.0, 0.0)
 
-    def histories(self, x: NDArray) -> NDArray[np.float64]:
-        """Return the initial history variables [P,2] of the particles of a body at x [P,3], m."""
+    def histories(self, x: NDArray, low: NDArray, high: NDArray) -> NDArray[np.float64]:
+        """Return the initial history variables [P,2] of particles of a body.
+
+        Args:
+            x: Positions of those particles that have this material [P,3], m.
+            low: Lowest corner of the whole body's bounding box [3], m.
+            high: Highest corner [3], m.
+        """
         return np.tile(np.array(self.history(), np.float64), (len(x), 1))
 
     def wave_speed(self) -> float:

@@ -143,14 +143,19 @@ class Snow(Elastic):
         elastic = super().calm_strain(growth, stiffness)
         return min(elastic, math.log(growth) / max(self.hardening, 1.0))
 
-    def histories(self, x: NDArray) -> NDArray[np.float64]:
-        """Return the initial history variables [P,2] of the particles at x [P,3], m.
+    def histories(self, x: NDArray, low: NDArray, high: NDArray) -> NDArray[np.float64]:
+        """Return the initial history variables [P,2] of particles of a body.
 
         The variables are Jp - 1, which is zero, and the relative deviation of `extension`.
+
+        Args:
+            x: Positions of those particles that have this material [P,3], m.
+            low: Lowest corner of the whole body's bounding box [3], m.
+            high: Highest corner [3], m.
         """
-        rows = super().histories(x)
+        rows = super().histories(x, low, high)
         if self.unevenness:
-            rows[:, 1] = np.expm1(self.unevenness * lumps(x))
+            rows[:, 1] = np.expm1(self.unevenness * lumps(x, low, high))
         return rows
 
     @staticmethod

@@ -17,14 +17,19 @@ WAVES = 24
 """Number of waves; the values of their sum are approximately normally distributed."""
 
 
-def lumps(x: NDArray) -> NDArray[np.float64]:
-    """Return noise of mean 0 and standard deviation 1 at points x [P,3] of a body, m.
+def lumps(x: NDArray, low: NDArray, high: NDArray) -> NDArray[np.float64]:
+    """Return noise of mean 0 and standard deviation 1 at points of a body [P].
 
     The noise depends only on the position in the body and on a fixed seed, so that the noise is the
-    same at every accuracy.
+    same at every accuracy, and continuous where the material changes.
+
+    Args:
+        x: Points [P,3], m.
+        low: Lowest corner of the body's bounding box [3], m.
+        high: Highest corner [3], m.
     """
     rng = np.random.default_rng(0)
-    low, longest = x.min(axis=0), float(np.ptp(x, axis=0).max())
+    longest = float(np.max(high - low))
     directions = rng.standard_normal((WAVES, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     numbers = 2 * np.pi / (LENGTH * max(longest, 1e-12)) * rng.uniform(*BAND, WAVES)

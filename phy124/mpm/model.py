@@ -159,11 +159,6 @@ class Model:
         material = np.zeros(count, int) if material is None else material
         body = np.zeros(count, int) if body is None else np.asarray(body)
         density = np.array([section.density for section in materials])[material]
-        history = np.empty((count, 2))
-        for part, section in itertools.product(np.unique(body), range(len(materials))):
-            which = np.flatnonzero((body == part) & (material == section))
-            if len(which):
-                history[which] = materials[section].histories(np.asarray(x)[which])
         groups = []
         for start, stop in _runs(materials, material, body):
             part = slice(start, stop)
@@ -177,7 +172,7 @@ class Model:
             rest=np.asarray(x, dtype=np.float64),
             mass=_array(np.asarray(volume) * density, real, precision, device),
             volume=_array(volume, real, precision, device),
-            history=history,
+            history=_histories(np.asarray(x), materials, material, body),
             groups=tuple(groups),
             materials=tuple(materials),
             dx=float(dx),
@@ -401,6 +396,21 @@ def parameters(
     kind = np.searchsorted(kinds, material)
     column = np.arange(rows.shape[1]) < scaled[kind][:, None]
     return rows[kind] * np.where(column, stiffness[:, None], 1.0)
+
+
+def _histories(
+    x: NDArray, materials: Sequence[Material], material: NDArray, body: NDArray
+) -> NDArray[np.float64]:
+    """Return the initial history variables [P,2] of particles at x [P,3], m."""
+    history = np.empty((len(x), 2))
+    for number in np.unique(body):
+        inside = np.flatnonzero(body == number)
+        low, high = x[inside].min(axis=0), x[inside].max(axis=0)
+        inside = inside[np.argsort(material[inside], kind="stable")]
+        kinds, first = np.unique(material[inside], return_index=True)
+        for kind, which in zip(kinds, np.split(inside, first[1:]), strict=True):
+            history[which] = materials[kind].histories(x[which], low, high)
+    return history
 
 
 def _runs(materials: Sequence[Material], material: NDArray, body: NDArray) -> list[tuple[int, int]]:
