@@ -40,7 +40,7 @@ from phy124.io.formats import (
     written_formats,
 )
 from phy124.materials import FixedCorotated
-from phy124.monitor.watchdog import Watchdog
+from phy124.monitor.speeds import Speeds
 from phy124.mpm import Stage
 from phy124.scene import Part, Scene
 from phy124.scene.objects import SceneObject
@@ -147,9 +147,9 @@ def test_plugins_describe_themselves():
     assert {"stress rubber", "particle forces", "collider table (separate)"} <= set(ran)
     run = Simulation(prepare(ball(300), scene))
     assert run.solver.rejection.sudden(run.solver.clock)
-    watchdog = run.find(Watchdog)
-    watchdog._fastest = 2 * scene.material.sound_speed()
-    assert any("may stay squeezed flat" in note for note in watchdog.notes())
+    speeds = run.find(Speeds)
+    speeds._fastest[:] = 2 * scene.material.sound_speed()
+    assert any("may stay squeezed flat" in note for note in speeds.notes())
 
 
 def test_scene_with_unnamed_plugins_is_not_written():

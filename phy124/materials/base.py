@@ -17,6 +17,9 @@ With 2 particles per cell and axis, a run takes 1.7 times as long and its error 
 (docs/lab/accuracy.md). For plasticine the number is 2, because its surface becomes bumpy with fewer
 particles.
 """
+COLLAPSE = 0.8
+"""J of some materials approaches 0 if an impact is faster than this multiple of the speed of sound.
+"""
 FLOWING = 4.0
 """Limit on the longest axis of Gaussians in plastic or fluid material, relative to its length at
 rest."""
@@ -168,8 +171,17 @@ class Material(Section):
         return []
 
     def notes_at(self, speed: float) -> list[str]:
-        """Return notes for the user about a run in which the largest speed was `speed` [m/s]."""
-        return []
+        """Return notes for the user about a run in which this material moved at `speed` [m/s]."""
+        mach = speed / self.sound_speed() if self.may_collapse else 0.0
+        if mach <= COLLAPSE:
+            return []
+        # A law from outside phy124 may have no name.
+        law = getattr(self, "law", self.device_law.name)
+        return [
+            f"Material of the law {law} moved at {mach:.1f} times its speed of sound. If it "
+            f"hits something at more than {COLLAPSE} times this speed, it may stay squeezed flat "
+            "without any other sign; neo_hookean does not."
+        ]
 
     @staticmethod
     def notes_on(density: NDArray, history: NDArray) -> list[str]:

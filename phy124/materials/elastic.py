@@ -145,6 +145,5 @@ class Rigid(Elastic):
         return [
             f"The rigid body moved at {speed:.3g} m/s; its stiffness is for impacts at "
             f"{self.speed:g} m/s. At the higher speed, an impact deforms the body by about "
-            f"{strain:.1%}; "
-            f"material.speed = {speed:.3g} makes it stiff enough."
+            f"{strain:.1%}; the material's setting speed = {speed:.3g} makes it stiff enough."
         ]

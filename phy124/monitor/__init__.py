@@ -31,6 +31,7 @@ from phy124.monitor.pool_dissipation import ImmersedDissipation, MixedDissipatio
 from phy124.monitor.pool_work import MixedWork
 from phy124.monitor.sleep import Sleep
 from phy124.monitor.softening import Softening
+from phy124.monitor.speeds import Speeds
 from phy124.monitor.tearing import Tearing
 from phy124.monitor.watchdog import Watchdog
 from phy124.monitor.wrenches import Wrenches
@@ -44,6 +45,7 @@ OBSERVERS: tuple[type[Observer], ...] = (
     Dissipation,
     LiquidDissipation,
     Watchdog,
+    Speeds,
     Tearing,
     Interior,
     Sleep,
@@ -77,6 +79,7 @@ LATTICE_OBSERVERS: tuple[type[Observer], ...] = (
     LatticeWork,
     LatticeDissipation,
     LatticeWatchdog,
+    Speeds,
     LatticeCrossing,
     Sleep,
 )
@@ -89,6 +92,7 @@ COUPLED_OBSERVERS: tuple[type[Observer], ...] = (
     CoupledContacts,
     CoupledWork,
     CoupledWatchdog,
+    Speeds,
 )
 """Observers of bodies on lattices together with particle bodies."""
 IMMERSED_OBSERVERS: tuple[type[Observer], ...] = (
@@ -100,6 +104,7 @@ IMMERSED_OBSERVERS: tuple[type[Observer], ...] = (
     ImmersedWork,
     ImmersedDissipation,
     CoupledWatchdog,
+    Speeds,
 )
 """Observers of bodies on lattices in a liquid with projected pressure."""
 

@@ -69,9 +69,6 @@ ROUNDING = {"float32": 1e-5, "float64": 1e-12}
 """Largest energy loss by rounding, relative to the sum of absolute work."""
 QUIET = 1e-9
 """Energies below this multiple of volume times stiffness count as rounding errors."""
-COLLAPSE = 0.8
-"""J of some materials approaches 0 if an impact is faster than this multiple of the speed of sound.
-"""
 UNSEEN = 3e-4
 """Largest invisible strain: 0.1 pixels in an object of 300 pixels."""
 FADING = {"float32": 2e-9, "float64": 4e-18}
@@ -123,7 +120,6 @@ class Watchdog(Observer):
 
     kept = (
         "_begun",
-        "_fastest",
         "_stopped",
         "_pushed",
         "min_J",
@@ -136,8 +132,6 @@ class Watchdog(Observer):
     def __init__(self) -> None:
         self.balance = Balance()
         self._begun, self._closely = False, False
-        self._fastest = self._attempted = 0.0
-        """Largest speeds so far and in the last attempt to compute a frame [m/s]."""
 
     @classmethod
     def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
@@ -165,7 +159,7 @@ class Watchdog(Observer):
         If `closely` is set, each substep is checked for non-finite particles, before they affect
         their neighbours.
         """
-        self._closely, self._attempted = closely, 0.0
+        self._closely = closely
         if not self._begun:
             # The balance does not start in `bind`, because the run may have been resumed after
             # `bind`.
@@ -187,12 +181,11 @@ class Watchdog(Observer):
         self._begun = False
 
     def after_substep(self) -> None:
-        """Store the largest speed in the attempt.
+        """Check the particles if the attempt is checked closely.
 
         Raises:
-            Unstable: The attempt is checked closely, and the state of a particle is not finite.
+            Unstable: The state of a particle is not finite.
         """
-        self._attempted = max(self._attempted, self.clock.recent.speed)
         if self._closely and (count := len(find_broken(self.state))):
             raise Unstable(f"{count} particles are NaN or infinite")
 
@@ -206,11 +199,6 @@ class Watchdog(Observer):
             self.last = now
             self.min_J, self.max_J = min(self.min_J, now.min_J), max(self.max_J, now.max_J)
         return problem
-
-    def after_frame(self, frame: Frame) -> Frame:
-        """Count the speeds of the last attempt, because its frame is valid."""
-        self._fastest = max(self._fastest, self._attempted)
-        return frame
 
     def diagnose(self, problem: str) -> Violation:
         """Return the reason why the solver stopped, and the particle that caused it."""
@@ -235,18 +223,6 @@ class Watchdog(Observer):
                 f"{self._solver.outliers.most} particles left the simulated space; they continued "
                 "on parabolas without contact."
             )
-        fastest = max(self._fastest, self._attempted)
-        fragile = {m.device_law.name: m for m in self.model.materials if m.may_collapse}
-        for name, material in sorted(fragile.items()):
-            mach = fastest / material.sound_speed()
-            if mach > COLLAPSE:
-                notes.append(
-                    f"Material of the law {name} moved at {mach:.1f} times its speed of sound. "
-                    f"If it hits something at more than {COLLAPSE} times this speed, it may stay "
-                    "squeezed flat without any other sign; neo_hookean does not."
-                )
-        for material in self.model.materials:
-            notes += material.notes_at(fastest)
         notes += self._notes_of_laws()
         if self.max_J > SWOLLEN and not any(m.disperses for m in self.model.materials):
             notes.append(

@@ -120,7 +120,7 @@ def _substep(run: Run) -> dict[str, Any]:
 def _notes(run: Run) -> list[str]:
     scene = run.scene
     return [
-        *(note for section in scene.materials for note in section.notes()),
+        *_notes_of_materials(run),
         *bodies.notes(scene),
         *overlap.notes(scene, run.solver.model),
         *_cfl_note(run),
@@ -130,6 +130,16 @@ def _notes(run: Run) -> list[str]:
         *run.setup.notes,
         *run.remarks,
     ]
+
+
+def _notes_of_materials(run: Run) -> Iterator[str]:
+    """Yield the notes of the scene's materials. Materials from a file are many, so a single
+    material of each law is noted.
+    """
+    sections = run.scene.materials
+    if run.scene.properties is not None:
+        sections = {type(section): section for section in run.setup.materials}.values()
+    yield from dict.fromkeys(note for section in sections for note in section.notes())
 
 
 def _unregistered_notes(classes: dict[str, str]) -> Iterator[str]:
