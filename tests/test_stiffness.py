@@ -122,6 +122,20 @@ def test_refusals(changes, message):
         Simulation(prepare(ball(400), Scene.named("drop").replaced({**field, **changes})))
 
 
+@pytest.mark.parametrize("law", ["rigid", "fluid"])
+def test_profile_without_a_modulus_that_varies_is_refused(law):
+    profile = {"kind": "ramp", "first": 1.0, "last": 0.1}
+    scene = Scene.named("drop").replaced({"material": {"law": law}, "stiffness_profile": profile})
+    with pytest.raises(InputError, match=f"^stiffness_profile = ramp: the law {law} has no Young"):
+        prepare(ball(400), scene)
+    prepare(
+        ball(400),
+        scene.replaced(
+            {"parts.0": {"region": {"lower": [-9.0, -9.0, 0.5]}, "material": {"law": "sand"}}}
+        ),
+    )
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phy124.gaussians import Frame
-from phy124.materials import AnyMaterial
+from phy124.materials import Material
 from phy124.monitor.diagnostics import compute_speeds
 from phy124.monitor.observer import Observed, Observer, Subject
 
@@ -29,7 +29,7 @@ class Speeds(Observer):
 
     kept = ("_fastest", "_last")
 
-    def __init__(self, materials: Sequence[AnyMaterial], material: NDArray) -> None:
+    def __init__(self, materials: Sequence[Material], material: NDArray) -> None:
         """`material` [P] is the index of each particle's material."""
         self._materials, self._material = materials, material
         self._fastest = np.zeros(len(materials))

@@ -316,6 +316,20 @@ def stiffness_fractions(
     return fractions
 
 
+def refuse_profile(scene: Scene, materials: Sequence[AnyMaterial]) -> None:
+    """Refuse a stiffness that changes over time if it would change no material.
+
+    Raises:
+        InputError: No material has an E that may vary.
+    """
+    profile = scene.stiffness_profile
+    if profile is None or any(section.scaled for section in materials):
+        return
+    limit = f"the law {scene.material.law} has no Young's modulus that may vary."
+    remedy = "Use another law, or remove stiffness_profile."
+    raise InputError("stiffness_profile", profile.kind, limit, remedy)
+
+
 def _refuse_too_soft(section: AnyMaterial, fraction: float) -> None:
     softened = {**section.model_dump(), "E": getattr(section, "E", 0.0) * fraction}
     try:

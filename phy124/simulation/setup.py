@@ -28,6 +28,7 @@ from phy124.scene.lattices import choose_solver, reason_for_mpm
 from phy124.scene.liquids import refuse_unprojectable
 from phy124.simulation.appearance import Appearance
 from phy124.simulation.bodies import Placed, make_body, make_free, make_scenery
+from phy124.simulation.materials import refuse_profile
 from phy124.simulation.overlap import refuse_solids
 
 
@@ -141,6 +142,7 @@ def prepare(
         refuse_for_lattice(scene, scene.materials)
     with context.watch.stage("particles"):
         body = make_body(gaussians, scene, crop, placed)
+        refuse_profile(scene, body.materials)
         look, shown = body.appearance, body.appearance.gaussians
         solid_scene = scene.with_solids()
         threads = usable_workers(len(look.particles), context.device, context.threads)
