@@ -125,8 +125,9 @@ def promise(
 ) -> Promise:
     """Return the error bound for a scene.
 
-    Missing proportions are read from the report of the scene's run. The report may also contain the
-    estimated error, the error that was measured for a goal, or a reason why no bound holds.
+    If `proportions` is None, the proportions are read from the report of the scene's run. The
+    report may also contain the estimated error, the error that was measured for a goal, or a reason
+    why no bound holds.
     """
     if report and (settled := _promise_of_run(report)):
         return settled

@@ -131,7 +131,7 @@ class Boundary(Section):
         return make(self.outline(), self.response(), real)
 
     def gentler(self) -> dict[str, Any]:
-        """Return new values of fields, with which the boundary acts half as strongly."""
+        """Return new field values that halve the strength of the boundary's action."""
         return {}
 
     def parts(self) -> list[Any]:
@@ -167,7 +167,8 @@ class Boundary(Section):
         return np.full(len(x), -np.inf)
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Return the boundary's stages: the wall, and then the nodes where columns cross.
+        """Return the boundary's stages: the response of the columns, then of nodes in several
+        columns.
 
         Raises:
             InputError: The solid is too thin for the grid.

@@ -122,7 +122,8 @@ class Generate:
         except Exception as error:
             again = f"phy124 render {result.folder / 'clip.safetensors'} --compose {self.image}"
             kept = f"kept in {result.folder}: {', '.join(result.report['files'])}"
-            raise Incomplete(f"{kept}. `{again}` films the object in the photograph") from error
+            how = f"Run `{again}` to render the object in the photograph"
+            raise Incomplete(f"{kept}. {how}") from error
         files = (*result.files, result.folder / path.name)
         names = sorted({*result.report["files"], path.name})
         report = {**result.report, "compose": about, "files": names}

@@ -105,7 +105,7 @@ def choose_triangles(
 
 
 def _thin(points: NDArray, normals: NDArray, width: float) -> NDArray[np.int64]:
-    """Return the indices of one point in each cube of a grid that contains points. A cube that
+    """Return the index of one point for each cube of a grid, without empty cubes. A cube that
     contains both sides of a thin sheet gets a second point.
     """
     _, cube = np.unique(np.floor(points / width)[:, ::-1], axis=0, return_inverse=True)

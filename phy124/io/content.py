@@ -250,7 +250,7 @@ def content_of(
     notes: Iterable[str] = (),
     step: float | None = None,
 ) -> Content:
-    """Build the content of a file from decoded columns (lengths, opacities in 0..1).
+    """Build the content of a file from decoded columns (scales as lengths, opacities in 0..1).
 
     Args:
         kind: Name of the format.

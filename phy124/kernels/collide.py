@@ -1,9 +1,9 @@
 """Colliders: between the grid update and the gather, nodes near a wall respond to the wall.
 
-`make_contact` enforces contact exactly at the wall (docs/design/contact.md). At a curved wall,
-columns of nodes cross, so `make_settle` adds the mean of the changes that the columns request. If
-the changes were summed instead, bodies would be squeezed flat. `make_collider` treats each node
-separately, for regions that are fixed only in some directions.
+`make_contact` enforces contact exactly at the wall (docs/design/contact.md). At a curved wall, a
+node may belong to several columns. `make_settle` then adds the mean of the columns' velocity
+changes to the node. If the changes were summed instead, bodies would be squeezed flat.
+`make_collider` treats each node separately, for regions that are fixed only in some directions.
 """
 
 from typing import Any
@@ -64,7 +64,7 @@ FLAT = {"half_space"}
 
 @build_once
 def make_settle(real: Any):
-    """Kernel over a box of nodes: adds the mean of the velocity changes that columns request.
+    """Kernel over a box of nodes: adds the mean of the velocity changes computed for the columns.
 
     Changes are weighted by their size, so that the mean varies continuously when a column begins to
     push. The kernel resets the sums in `changes_out` to zero.

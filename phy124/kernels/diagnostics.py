@@ -271,7 +271,7 @@ def make_apart(real: Any):
 
 @build_once
 def make_neighbours_lost(real: Any):
-    """Kernel: marks each particle that is too far from one of the particles next to it at rest.
+    """Kernel: marks each particle that is too far from one of its initial neighbours.
 
     `square` is the square of the distance [m^2]. Thread i sets `lost_out[i]` to 1 if the particle
     `chosen[i]` has lost one of `neighbours[i]`, else to 0.

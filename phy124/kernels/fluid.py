@@ -50,7 +50,7 @@ def lag(F: Any, h: Any):
 def tait_energy(F: Any, h: Any, theta: Any):
     """Return K / gamma (J + J^(1 - gamma) / (gamma - 1) - gamma / (gamma - 1)) + K' lag^2 / 2.
 
-    The energy is zero at J = 1.
+    Here lag = log(J / J') (see `lag`). The energy is zero at J = 1.
     """
     J, more = squeeze(F)
     less = theta[1] - type(J)(1.0)
@@ -62,12 +62,12 @@ def tait_energy(F: Any, h: Any, theta: Any):
 
 @wp.func
 def tait(F: Any, C: Any, h: Any, theta: Any):
-    """Return the Kirchhoff stress -J p I + 2 j eta dev(sym C) + zeta tr C I + K' lag I.
+    """Return the Kirchhoff stress -J p I + 2 j eta dev(sym C) + zeta tr C I + K' log(J / J') I.
 
     theta = (K [Pa], gamma, eta [Pa s], zeta [Pa s], K' [Pa], 1 / relaxation time [1/s]). A negative
     pressure acts as cohesion. Here j = min(J, 1), so that the viscosity per unit mass, which limits
     the substep, does not change when the fluid expands. zeta damps sound where the fluid is
-    compressed.
+    compressed. J' is the volume ratio about one relaxation time ago (`lag`).
     """
     unit = type(theta[0])(1.0)
     J, more = squeeze(F)

@@ -85,7 +85,11 @@ def make_drag(real: Any):
 
 @build_once
 def make_attract(real: Any):
-    """Kernel: adds kick * g d / r to v; g is linear up to `radius`, then falls as 1 / d^2."""
+    """Kernel: attracts particles to a point.
+
+    The acceleration is g at the distance `radius` from the point, proportional to the distance up
+    to `radius`, and inversely proportional to its square beyond `radius`.
+    """
     t = types(real)
 
     @kernel(f"phy124_attract_{real.__name__}", real)

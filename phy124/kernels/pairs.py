@@ -72,7 +72,7 @@ def slope(grid: wp.array(dtype=Any), window: wp.array(dtype=wp.vec3i), node: wp.
 
 @wp.func
 def trust(yields: Any):
-    """Return the weight of a body's slope in the contact normal."""
+    """Return the weight that the slope of a body's volume has in the contact normal."""
     return type(yields)(TRUSTED) - (type(yields)(TRUSTED) - type(yields)(1.0)) * yields
 
 

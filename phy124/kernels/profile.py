@@ -110,7 +110,7 @@ def read(times: wp.array(dtype=Any), keys: wp.array(dtype=Any), first: int, last
 
 @wp.func
 def keys_within(times: wp.array(dtype=Any), first: int, last: int, a: Any, b: Any):
-    """Return the number of a track's keys, without the first, in the interval (a, b] [s]."""
+    """Return the number of a track's keys, except the first key, in the interval (a, b] [s]."""
     count = int(0)
     for i in range(first + 1, last + 1):
         if times[i] > a and times[i] <= b:

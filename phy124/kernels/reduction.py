@@ -18,10 +18,10 @@ EACH, MOST_THREADS, BLOCK = 32, 2**14, 256
 
 
 def shared_out(particles: int, device: str, most: int = MOST_THREADS) -> tuple[int, int, int, int]:
-    """Return the number of threads, `first`, `each` and `stride` of a reduction over particles.
+    """Divide particles among threads; return the number of threads, `first`, `each` and `stride`.
 
-    A thread handles the particles `thread * first + k * stride`, k < `each`. On a GPU, neighbouring
-    threads have neighbouring particles, so that memory reads coalesce.
+    A thread handles the particles `thread * first + k * stride` for k < `each`. On a GPU,
+    neighbouring threads have neighbouring particles, so that memory reads coalesce.
     """
     if device == "cpu":
         return -(-particles // EACH), EACH, EACH, 1

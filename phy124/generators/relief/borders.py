@@ -123,8 +123,8 @@ class Bands:
         )
 
     def _changes_beyond(self, width: int, known: Mask, near: Field) -> float:
-        """Return the change on both sides of an edge, relative to the change `near` [K] at the
-        edge.
+        """Return how much the colour changes on both sides of an edge, relative to the change
+        `near` [K] at the edge.
         """
         sides = [width + np.arange(*AWAY), width - np.arange(*AWAY)]
         sides = [self.across[rows[rows > UNEVEN]][:, known] for rows in sides]

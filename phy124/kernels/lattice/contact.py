@@ -6,14 +6,15 @@ point that has penetrated the wall moves out at the speed -`restore` g, where `r
 changes the velocities of the point's nodes by w_i J / m_i, and the velocity of the point by (sum
 w_i^2 / m_i) J.
 
-The pass over all points, forwards and backwards, is a symmetric positive operator E on velocities.
-With C = E^-1 - 1, the impulses of the last substep equal the impulses of implicitly integrated
-springs C / dt^2. The equation (1 + C) v' = v - (K + C) x is stable for every stiffness K that is
-stable without walls. A single pass, which is not symmetric, excites vibrations.
+A sweep over all points, forwards and then backwards, is a symmetric positive operator E on the
+velocities. With C = E^-1 - 1, the impulses of the last substep equal the impulses of implicitly
+integrated springs C / dt^2. The equation (1 + C) v' = v - (K + C) x is stable for every stiffness K
+that is stable without walls. A sweep in one direction only is not symmetric, and excites
+vibrations.
 
 `restore` is the gain of an integral controller. A gain above omega^2 dt would excite the body's
-slowest vibration (angular frequency omega). If the gain grew for shorter substeps, a body that is
-squeezed hard would be thrown out.
+slowest vibration (angular frequency omega). If the gain were larger for shorter substeps, a body
+that is squeezed hard would be thrown out.
 
 The result of Gauss-Seidel depends on the order of the points, so these kernels use a single thread.
 """

@@ -92,7 +92,7 @@ def entry(active: wp.array(dtype=int), ends: wp.array(dtype=int), worker: int, k
 def make_sum_copies(real: Any, width: int):
     """Kernel over active cells: adds the sums of all other workers to those of the first worker.
 
-    Copies are added in a fixed order, so the result depends only on their number.
+    The sums are added in a fixed order, so the result depends only on the number of workers.
     """
     vector = wp.types.vector(width, real)
 

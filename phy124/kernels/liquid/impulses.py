@@ -39,8 +39,8 @@ def way_to_wall(
 ):
     """Return the distance along an axis from a cell's centre to the wall in the cell [m].
 
-    At edges of solids, nine parallel lines give different results; the line that ends deepest in
-    the solid is used.
+    At an edge of a solid, the distance is computed along nine parallel lines. The result is taken
+    from the line that ends deepest in the solid.
     """
     d = distances[point(cell, 1, 1, 1, size)]
     f = distances[solid_face(cell, axis, jump, size)]

@@ -247,9 +247,9 @@ def make_push(real: Any):
 
 @build_once
 def make_predict(real: Any):
-    """Kernel over solids: writes the motion that each solid would have without the pressure.
+    """Kernel over solids: writes each solid's motion before the pressure equation is solved.
 
-    This is the motion without the liquid, plus the response to the sums of `make_lift`.
+    This is the motion due to gravity, plus the response to the sums of `make_lift`.
     """
 
     @kernel(f"phy124_liquid_predict_{real.__name__}", real, seconds=0.3)

@@ -114,10 +114,10 @@ def level(
 ):
     """Return a cell's fill, its centre's distance from the surface, and 1 if the cell is liquid.
 
-    A layer on a wall is liquid, and counts as full, even if its surface is below the centre of its
-    cells. Particles in a very thin layer count as drops instead. For a cell inside a wall, only the
-    rim of the B-spline reaches the liquid, so the fill is halved, or reduced more if the rim is
-    small.
+    The cells of a liquid layer on a wall count as full liquid cells, even if the liquid's surface
+    is below the cells' centres. Particles in a very thin layer count as drops instead. For a cell
+    inside a wall, only the rim of the B-spline reaches the liquid, so the fill is halved, or
+    reduced more if the rim is small.
 
     Args:
         cells: Sums over the particles; the sum with the index `component` is the volume.

@@ -1,4 +1,4 @@
-"""Viscosity of a liquid: the weights of the strain rates, walls, and the pressure that follows.
+"""Viscosity of a liquid: weights of the strain rates, walls, and the effect on the pressure.
 
 The new velocities u minimise the sum of m |u - u0|^2 / 2 over the faces plus the sum of dt eta V
 |D|^2 over the samples of the strain rate D (Batty and Bridson 2008). Here u0 are the old velocities
@@ -6,8 +6,8 @@ and m the masses of the faces. Normal strain rates are sampled at the centres of
 at their edges. V is the liquid volume around a sample. The minimum has no traction at the surface.
 Masses are in units of rho dx^3, so the factor of V becomes k = dt eta / (rho dx^2).
 
-Faces behind a sticky wall have the wall's velocity, and the strain rate next to them refers to the
-distance from the wall. A wall without friction exerts no shear stress.
+Faces behind a sticky wall have the wall's velocity. A strain rate between such a face and the
+liquid is computed with the distance from the wall. A wall without friction exerts no shear stress.
 """
 
 from typing import Any

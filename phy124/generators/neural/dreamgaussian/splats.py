@@ -221,7 +221,9 @@ class Pull:
 
 
 def normal_draw(generator: torch.Generator) -> Draw:
-    """Return a function that draws normal samples on the CPU, so that all devices get the same."""
+    """Return a function that draws normal samples on the CPU, so that all devices get equal
+    samples.
+    """
     return lambda std: std * torch.randn(std.shape, generator=generator).to(std)
 
 

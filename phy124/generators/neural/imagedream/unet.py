@@ -1,4 +1,4 @@
-"""The multi-view U-Net of ImageDream; without an image condition, it is that of MVDream.
+"""The multi-view U-Net of ImageDream; without an image condition, it equals MVDream's U-Net.
 
 The network is a latent diffusion U-Net (Rombach et al. 2022) with self-attention over all views.
 Wang & Shi 2023, "ImageDream"; Shi et al. 2023, "MVDream".
@@ -165,7 +165,7 @@ class MultiViewUNet(nn.Module):
 
 
 def with_picture(x: Tensor, ip_img: Tensor, num_frames: int) -> Tensor:
-    """Return latents [B*F,4,h,w] with the image's latents [B,4,h,w] in each object's last frame."""
+    """Return latents [B*F,4,h,w]; the last frame of each object contains the image's latents."""
     x = x.clone()
     x[num_frames - 1 :: num_frames] = ip_img.to(x.dtype)
     return x

@@ -191,7 +191,9 @@ def remove_rotations(rows: Tensor) -> Tensor:
 
 
 def judge(rows: Tensor, images: Tensor) -> Rotations:
-    """Return the quaternion normalisation with which Gaussians [N,14] look more like `images`."""
+    """Return the method of normalising quaternions for which Gaussians [N,14] look more like
+    `images`.
+    """
     pictures = torch.nn.functional.interpolate(images, (SIDE, SIDE), mode="area")
     each, none = error(rows, pictures), error(remove_rotations(rows), pictures)
     return "all" if none < MARGIN * each else "each"
