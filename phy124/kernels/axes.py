@@ -142,8 +142,8 @@ def across(e: wp.vec3d, wanted: wp.vec3d, spare: wp.vec3d) -> wp.vec3d:
 def orientation(a: wp.mat33d, lengths: wp.vec3d, previous: wp.mat33d) -> wp.mat33d:
     """Return the proper rotation whose axes are along the (nearly) orthogonal columns of A.
 
-    The longest column determines its axis exactly. For a column of zero length, the axis of
-    `previous` is used.
+    The axis along the longest column has exactly this column's direction. For a column of zero
+    length, the axis of `previous` is used.
     """
     i = int(0)
     if lengths[1] > lengths[i]:

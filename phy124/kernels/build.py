@@ -3,9 +3,9 @@
 Warp's hash does not contain the role of each function in a closure, so two variants in one module
 could have the same hash (docs/design/architecture.md).
 
-The layout of the code determines which of two products is contracted to a fused multiply-add. For
-example, merging two early returns of `collide.contact` changed the last digit of float32 results.
-tests/benchmarks/fingerprints.py compares the results of two commits.
+In a sum of two products, the layout of the code determines which product the compiler contracts to
+a fused multiply-add. For example, merging two early returns of `collide.contact` changed the last
+digit of float32 results. tests/benchmarks/fingerprints.py compares the results of two commits.
 """
 
 import inspect

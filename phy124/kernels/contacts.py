@@ -37,7 +37,9 @@ def make_contact_copy(real: Any):
 
 @build_once
 def make_contact_reach(real: Any):
-    """Kernel: replaces each node stored by `make_contact_copy` with the node's change by a wall."""
+    """Kernel: subtracts the copies stored by `make_contact_copy` from the nodes after a wall
+    acted.
+    """
     t = types(real)
 
     @kernel(f"phy124_contact_reach_{real.__name__}", real, seconds=0.2)

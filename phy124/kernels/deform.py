@@ -3,8 +3,8 @@
 Jacobi rotations (see `axes`) make the columns of A = F R0 S0 V orthogonal. The directions of the
 columns are then the axes of F Sigma0 F^T, and their lengths are the scales. Columns that are
 orthogonal to within `TOLERANCE` are not changed, so axes of equal length move with the material
-instead of flickering. If Sigma itself were decomposed, the thin axes of needle-shaped Gaussians
-would be lost.
+instead of flickering. If Sigma itself were decomposed, rounding would destroy the thin axes of
+needle-shaped Gaussians.
 """
 
 from typing import Any

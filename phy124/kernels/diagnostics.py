@@ -202,7 +202,7 @@ def make_probe(law: Law, real: Any):
 
 @build_once
 def make_reset(real: Any):
-    """Kernel: resets deformations that no law can handle to the identity.
+    """Kernel: sets invalid deformations, which no law can handle, to the identity.
 
     A deformation F is valid if J is between `min_J` and `max_J`, if |F| is at most `max_norm`, and
     if J / |cof F|, an estimate of the smallest stretch, is at least `narrowest` |F|. `faults_out`

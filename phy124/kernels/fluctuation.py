@@ -1,10 +1,10 @@
 """Controls the damping of the transfers: FLIP, AFLIP and XPIC reduce the damping; RPIC increases
 it.
 
-The fluctuation is (v, C) minus (v, C) after a round trip over the grid, D = 1 - S S^+ (Hammerquist
-and Nairn 2017). APIC discards the fluctuation in every substep. C makes the round trip together
-with v, so that momentum and angular momentum do not change. docs/design/physics.md describes the
-schemes.
+The fluctuation is (v, C) minus the result of a transfer of (v, C) to the grid and back: D (v, C)
+with D = 1 - S S^+ (Hammerquist and Nairn 2017). APIC discards the fluctuation in every substep. C
+is transferred together with v, so that momentum and angular momentum do not change.
+docs/design/physics.md describes the schemes.
 """
 
 from typing import Any

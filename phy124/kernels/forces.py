@@ -65,9 +65,9 @@ def make_zone(real: Any):
 def make_drag(real: Any):
     """Kernel: solves dv/dt = rate (u - v) exactly, so that v never overshoots the wind u.
 
-    The grid adds kick * a later. Together with the drag, the velocity becomes v + (u + a / rate -
-    v)(1 - exp(-rate kick)). If the drag ignored the acceleration a, an object's terminal velocity
-    would be too high by the fraction `rate * kick / 2`.
+    The grid update later adds kick * a. Together with the drag, the velocity becomes v + (u + a /
+    rate - v)(1 - exp(-rate kick)). If the drag ignored the acceleration a, an object's terminal
+    velocity would be too high by the fraction `rate * kick / 2`.
     """
 
     @kernel(f"phy124_drag_{real.__name__}", real)

@@ -1,7 +1,7 @@
 """Repeats kernel launches that Warp recorded, without copying their arguments again.
 
-Warp copies all arguments in every launch, which takes 5 to 10 us. Most launches of a small body
-take little longer than that.
+Warp copies all arguments in every launch, which takes 5 to 10 us. For a small body, most kernels
+run for little longer than that.
 """
 
 import ctypes

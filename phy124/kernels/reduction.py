@@ -117,7 +117,9 @@ def lower_to(minima: wp.array(dtype=int), index: int, value: int):
 
 @wp.func_native(code("reduction:store"))
 def store(matrices: wp.array(dtype=wp.mat33), particle: int, value: wp.mat33):
-    """Write the matrix of a particle; on a GPU, 32 neighbouring particles together."""
+    """Write a particle's matrix; on a GPU, 32 neighbouring threads write their matrices
+    together.
+    """
     ...
 
 

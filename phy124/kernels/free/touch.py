@@ -34,9 +34,7 @@ normal; otherwise, the normal of the nearest face is used.
 
 @wp.func
 def volume_of_round(d: Any, s: Any, geometry: Any, dx: Any):
-    """Return the normal of a flat surface, and the fraction of the volume around a node behind the
-    surface.
-    """
+    """Return a flat surface's normal, and the fraction of a node's volume behind the surface."""
     return wp.vector(s[0], s[1], s[2], coverage(-s[3] / dx))
 
 
@@ -51,7 +49,7 @@ def weight(u: Any):
 
 @wp.func
 def volume_of_box(d: Any, s: Any, geometry: Any, dx: Any):
-    """Return the contact normal of a box, and the volume fraction that the box fills around a node.
+    """Return the contact normal of a box, and the fraction of a node's volume that the box fills.
 
     The normal is the direction of the steepest decrease of the fraction, and therefore turns
     continuously at an edge.
@@ -83,7 +81,7 @@ def make_touch(shape: str, real: Any):
 
     @wp.func
     def solid(node: wp.vec3i, geometry: Any, lattice: Any, body: wp.array(dtype=wp.float64)):
-        """Return the contact normal, and the volume fraction around a node that the body fills."""
+        """Return the contact normal, and the fraction of a node's volume that the body fills."""
         R = axes(body)
         local = wp.transpose(R) @ arm_of(body, lattice, node)
         d = t.vec3(real(local[0]), real(local[1]), real(local[2]))

@@ -53,11 +53,11 @@ def make_touch(shape: str, real: Any, rows: Rows):
 
     `inverse` is the inverse mass, or zero for nodes in a clamp. `force_out` contains the mean force
     on each point in the last substep [N], and is set to zero for a point that has left the wall.
-    Contact with a point begins at the distance `space_out` from the wall, which is -inf until the
-    point is first near the wall. If the point is inside the wall at that time, or enters the wall
-    without contact, contact begins at the point's depth, because moving the point out would create
-    energy. `gap_out` is the normal and the distance of each point near the wall; the distance of
-    other points is infinite.
+    Contact with a point begins at the distance `space_out` from the wall. This value is -inf until
+    the point is near the wall for the first time. If the point is inside the wall at that time, or
+    enters the wall without contact, contact begins at the point's depth, because moving the point
+    out would create energy. `gap_out` is the normal and the distance of each point near the wall;
+    the distance of other points is infinite.
     """
     t = types(real)
     moved_by, strike = rows.moved_by, rows.strike
@@ -113,7 +113,7 @@ def make_yields(real: Any, rows: Rows):
     """Kernel over points near a wall: computes each point's velocity change per impulse [1/kg].
 
     The change is set to zero if a clamp fixes nearly all nodes of a point (`inverse` is zero, but
-    `whole` is not). Otherwise, an impulse would move the few other nodes violently.
+    `whole` is not). Otherwise, an impulse would accelerate the few other nodes too much.
     """
     yielding = rows.yielding
 
@@ -134,11 +134,12 @@ def make_resist(response: str, real: Any, rows: Rows):
     """Single-thread kernel: forward and backward Gauss-Seidel sweeps over points near a wall.
 
     Further sweeps follow if the wall holds points in both directions, or if a point is deeper than
-    `deep`: after one sweep, a part of each change of the load is not yet balanced, so points drift
-    into the wall. The sweeps end when no correction displaces a point by more than `exact`.
+    `deep`. One sweep balances a change of the load only in part, so points would drift into the
+    wall. The sweeps end when no correction displaces a point by more than `exact`.
 
-    The wall moves at the rate of the track `slot`. Pairs of points use slot 0, which has no rate.
-    `response` is separate (may leave, with friction), slip (stays, without friction) or sticky.
+    The wall's velocity is the rate of the track `slot`. Pairs of points use slot 0, whose rate is
+    zero. `response` is "separate" (points may leave; friction acts), "slip" (points may not leave;
+    no friction) or "sticky".
     """
     moved_by, strike, limit = rows.moved_by, rows.strike, LIMITS[response]
     leaves = response == "separate"

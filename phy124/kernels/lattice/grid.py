@@ -3,8 +3,8 @@ the grid.
 
 The surface of the material is assumed to be where the volume fraction is one half. The velocity of
 the material at a point is the mass-weighted mean velocity of the nodes around the point. An impulse
-changes the velocity of each of these nodes by the fraction w_i / sum w_i m_i, so momentum is
-conserved exactly.
+J changes the velocity of each of these nodes by w_i J / sum w_i m_i, so momentum is conserved
+exactly.
 """
 
 from typing import Any
@@ -64,11 +64,11 @@ def make_grid_touch(real: Any, rows: Rows):
     change of the relative velocity per unit impulse. Impulses do not change the velocity of fixed
     material (`moves` is 0).
 
-    Contact with a point begins at the distance `space_out` from the material, which is -inf until
-    the point is first near the material. A point that is inside the material at that time, to a
-    depth of at most `DEEPEST`, keeps its depth until it leaves the material, because moving the
-    point out would create energy. If `starts` is 1, points that touch the material keep their
-    present distance.
+    Contact with a point begins at the distance `space_out` from the material. This value is -inf
+    until the point is near the material for the first time. A point that is inside the material at
+    that time, to a depth of at most `DEEPEST`, keeps its depth until it leaves the material,
+    because moving the point out would create energy. If `starts` is 1, points that touch the
+    material keep their present distance.
     """
     t = types(real)
     moved_by, yielding, strike = rows.moved_by, rows.yielding, rows.strike

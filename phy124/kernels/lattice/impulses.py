@@ -70,9 +70,9 @@ def make_add_momentum(real: Any):
 def make_pass_on(real: Any):
     """Kernel over points: adds the contact impulses on nodes in clamps to the clamps' sums.
 
-    A clamp absorbs the contact impulses on its nodes. These impulses do no work, so their work is
-    subtracted from the sums of a wall. If another body exerts the impulse, the clamp does work on
-    the other body, so the work is added to the clamp's sums.
+    A clamp absorbs the contact impulses on its nodes. On clamped nodes, contact impulses do no
+    work, so this work is subtracted from the sums of a wall. If another body exerts the impulse,
+    the clamp does work on the other body, so the work is added to the clamp's sums.
 
     For clamped nodes, `inverse` is zero, but `whole` is not. `holder` is the row of a node's clamp
     in `clamps_out`. `sums_out` contains the work, and `impulse_out` the impulse on each node;

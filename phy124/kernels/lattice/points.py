@@ -140,7 +140,7 @@ def make_locate(real: Any):
 
 @build_once
 def make_push(real: Any):
-    """Kernel over chosen points: adds the force of pushes, m (v - v_kept) / kick, to the nodes'
+    """Kernel over chosen points: adds forces on points, m (v - v_kept) / kick, to the nodes'
     forces.
     """
 

@@ -1,7 +1,7 @@
 """Sums over the nodes of a surface point, and impulses on these nodes.
 
 The nodes are rows of three nodes that are consecutive in memory. In float32 on a CPU, the nine
-numbers of a row are one AVX2 register and a single number (phy124/kernels/native/rows.h).
+numbers of a row occupy an AVX2 register and a scalar (phy124/kernels/native/rows.h).
 """
 
 from collections.abc import Callable

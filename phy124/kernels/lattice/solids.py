@@ -3,8 +3,8 @@
 The impulses are computed as in phy124/kernels/lattice/contact.py. An impulse J at r from the
 solid's centre changes the solid's velocity by -J / m and the angular velocity by -I^-1 (r x J). The
 arrays of the solid have the layout of phy124/kernels/free/numbers.py. `trial` contains the motion
-under the flat walls' impulses in the last substep, so that contact takes the support by the walls
-into account.
+of the solid under the last substep's impulses of flat walls, so that contact takes the support by
+these walls into account.
 """
 
 from typing import Any

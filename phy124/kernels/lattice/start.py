@@ -26,8 +26,10 @@ never pressed could leave it.
 
 @wp.func
 def touches_at_start(gap: Any, cosine: Any):
-    """Return whether a point touches a surface at a distance [cells], with a cosine between the
-    normal of the surface and the reversed normal at the point.
+    """Return whether a point touches a surface at the distance `gap` [cells].
+
+    `cosine` is the cosine of the angle between the surface's normal and the reversed normal at the
+    point.
     """
     reach = type(gap)(0.0)
     if cosine >= type(gap)(FACING):

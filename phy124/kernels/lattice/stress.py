@@ -1,6 +1,6 @@
 """Forces of the stress on the nodes of a lattice: f_i = -sum V P grad w_i, P = tau F^-T.
 
-In inverted points, F^-T must have the sign of det F, unless the law has a barrier. Otherwise the
+At inverted points, F^-T must have the sign of det F, unless the law has a barrier. Otherwise the
 forces would not derive from the energy, and a few inverted points would add energy in every
 substep.
 """

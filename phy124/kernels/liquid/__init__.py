@@ -1,7 +1,7 @@
 """Device code for projected liquids: incompressible flow on a staggered grid with particles.
 
-docs/design/liquids.md describes a step. The x component of the velocity is stored at the centre of
-a cell's low x face, and so on. Pressure, density and distance from the surface are stored at cell
+docs/design/liquids.md describes a step. Each component of the velocity is stored at the centre of a
+cell's low face along this axis. Pressure, density and distance from the surface are stored at cell
 centres.
 
 In a window of the grid, cell (i, j, k) has the number (i size_y + j) size_z + k. The low corner of

@@ -26,7 +26,9 @@ NONE = 1 << 30
 
 @build_once
 def make_sweep(real: Any):
-    """Kernel over particles: extends the range of cells of each column to the particles' cells."""
+    """Kernel over particles: extends each column's range of cells to include the particles'
+    cells.
+    """
 
     @kernel(f"phy124_liquid_sweep_{real.__name__}", real, seconds=0.2)
     def sweep(lattice, window, x, lowest_out: Ints, highest_out: Ints):

@@ -35,7 +35,8 @@ def total(sums: Table, row: int):
 def quotient(sums: Table, row: int, divisor: wp.float64):
     """Return the sum of a row (`total`) divided by a number, or 0 if the number is 0.
 
-    The divisor is 0 if the solution is exact; a GPU continues until the next check.
+    The divisor is 0 if the solution is exact: on a GPU, the iteration continues until the next
+    check of convergence.
     """
     result = wp.float64(0.0)
     if divisor > wp.float64(0.0):

@@ -86,8 +86,8 @@ def make_meeting(real: Any):
     """Kernel over cells: adds impulse and moment of a liquid on another one to `sums_out` [6].
 
     The force per volume on a liquid of the fraction c is p grad c, where the other liquid has the
-    fraction 1 - c. For the fractions a and b of two of several liquids, it is p (a grad b - b grad
-    a). `density` is the reference of the pressure solution.
+    fraction 1 - c. Between two of several liquids, with the fractions a and b, the force per volume
+    is p (a grad b - b grad a). `density` is the reference of the pressure solution.
     """
     t = types(real)
 

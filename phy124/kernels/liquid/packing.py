@@ -1,4 +1,4 @@
-"""Computes displacements out of crowded cells into empty cells, to restore the rest density.
+"""Computes displacements of particles from crowded to empty cells, to restore the rest density.
 
 The displacements are the gradient of a field that solves a linear system. The system has the matrix
 of the pressure equation, and the density error as its right-hand side (Kugelstadt et al. 2019,

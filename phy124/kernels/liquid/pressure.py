@@ -136,7 +136,7 @@ def make_divergence(real: Any):
     """Kernel over cells: computes the net flux into each cell relative to moving walls [m/s].
 
     `solid` is the index of the first wall that is a solid. The last solution, multiplied by
-    `carry`, is the first guess of the next solution.
+    `carry`, is the initial guess for the next solution.
     """
 
     @kernel(f"phy124_liquid_divergence_{real.__name__}", real, seconds=0.3)

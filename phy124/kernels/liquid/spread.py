@@ -28,7 +28,9 @@ def in_body(
     axis: int,
     size: wp.vec3i,
 ):
-    """Return whether a face is inside a freely moving wall, whose index is at least `body`."""
+    """Return whether a face is inside a freely moving wall; such walls have indices from `body`
+    on.
+    """
     at = wp.vec3i(1, 1, 1)
     at[axis] = 0
     shut = item(open, n)[axis] == type(item(open, n)[axis])(0.0)

@@ -1,7 +1,8 @@
 """Solves the viscous equation by conjugate gradients with the diagonal as preconditioner.
 
-The matrix is not stored. Its product with a vector is m u minus the divergence of the stress, in
-two passes: from velocities to stresses, and from stresses to faces (viscous.py).
+The matrix is not stored. The product of the matrix with velocities u is m u minus the divergence of
+the stress. It is computed in two passes: from velocities to stresses, and from stresses to faces
+(viscous.py).
 """
 
 from typing import Any
@@ -47,7 +48,8 @@ def reaction(
 
 @build_once
 def make_strain(real: Any):
-    """Kernel over parts of the list of cells: computes the direction s = z + beta s, its stresses.
+    """Kernel over parts of the list of cells: computes the direction s = z + beta s, and its
+    stresses.
 
     If `begun` is 0, the direction is z.
     """
@@ -107,7 +109,7 @@ def make_strain(real: Any):
 def make_start(real: Any):
     """Kernel over parts of the list of cells: computes the residual and the preconditioner.
 
-    The stresses are those of the old velocities u, which are the first guess.
+    The old velocities u are the initial guess; `normal` and `shear` are their stresses.
     """
     t = types(real)
 

@@ -63,7 +63,9 @@ def opening(open: wp.array(dtype=Any), n: int, size: wp.vec3i):
 
 @wp.func
 def filled_share(volume: Any, solid: Any, dx: Any):
-    """Return the filled fraction of a B-spline's part outside walls; `solid` is the part inside."""
+    """Return the filled fraction of the part of a B-spline outside walls; `solid` is the part
+    inside.
+    """
     open = wp.max(type(dx)(1.0) - solid, type(dx)(LEAST))
     return wp.min(volume / (dx * dx * dx) / open, type(dx)(1.0))
 

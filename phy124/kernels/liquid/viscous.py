@@ -3,8 +3,9 @@
 The new velocities u minimise the sum of m |u - u0|^2 / 2 over the faces plus the sum of dt eta V
 |D|^2 over the samples of the strain rate D (Batty and Bridson 2008). Here u0 are the old velocities
 and m the masses of the faces. Normal strain rates are sampled at the centres of cells, shear rates
-at their edges. V is the liquid volume around a sample. The minimum has no traction at the surface.
-Masses are in units of rho dx^3, so the factor of V becomes k = dt eta / (rho dx^2).
+at their edges. V is the liquid volume around a sample. At the minimum, there is no traction at the
+liquid's surface. Masses are in units of rho dx^3, so the factor of V becomes k = dt eta / (rho
+dx^2).
 
 Faces behind a sticky wall have the wall's velocity. A strain rate between such a face and the
 liquid is computed with the distance from the wall. A wall without friction exerts no shear stress.
@@ -146,8 +147,8 @@ def inverse_span(
     """Return the factor that converts a velocity difference of two faces to a strain rate
     [1/cells].
 
-    The factor is 0 if a face has no velocity, and above 1 if a wall is between the faces. A wall
-    without friction causes no `shear`.
+    The factor is 0 if a face has no velocity, and above 1 if a wall is between the faces. For a
+    shear rate (`shear`), the factor is 0 at a wall without friction.
     """
     zero = type(item(distances, 0))(0.0)
     unit = type(zero)(1.0)

@@ -140,7 +140,7 @@ FAR = wp.constant(1.0e9)
 
 @wp.struct
 class Shape:
-    """How a Gaussian is drawn (`find_surface`)."""
+    """Kind and shape of a Gaussian, with the surface next to it (from `find_surface`)."""
 
     kind: int
     normal: wp.vec3
