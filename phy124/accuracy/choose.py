@@ -190,8 +190,8 @@ def _list_finer(finest: int) -> list[int]:
 
 
 def _guess(goal: Goal, runs: Runs, result: Convergence) -> tuple[float, float]:
-    """Guess the error on the finest grid and the order of convergence, ignoring grids on which the
-    material may have torn.
+    """Estimate the error on the finest grid and the order of convergence, ignoring grids on which
+    the material may have torn.
     """
     if result.error is not None:
         order = result.order or GUESSED_ORDER
@@ -413,10 +413,10 @@ def _sum_preparation(runs: Runs) -> float:
 def _choose_next(
     cells: int, wanted: list[int], preparing: float, forecast: Forecast, left: float, kept: float
 ) -> int:
-    """Return the next grid to make a forecast for; 0: none.
+    """Return the cells of the next grid for which to make a forecast; 0 if there is none.
 
     The preparation and the run of this grid should stay within the time `left` [s]. After the
-    preparation, enough time must remain for the best grid so far, `kept` [s].
+    preparation, enough time must remain to run the best grid so far (`kept` [s]).
     """
     simulation = forecast.stages["simulate"]
     others = forecast.seconds - simulation

@@ -1,8 +1,8 @@
 """Predicts the error of a scene before it runs, from a model fitted to measured errors.
 
-The logarithm of the error bound is linear in the logarithms of a few `properties`. The coefficients
-are sums over `groups` of scenes. tests/benchmarks/zoo.py measures the errors, and
-tests/benchmarks/expectations.py fits the model and writes measured.json.
+The logarithm of the error bound is linear in the logarithms of a few `properties`. Each coefficient
+is a sum with one term per group of scenes (`groups`). tests/benchmarks/zoo.py measures the errors,
+and tests/benchmarks/expectations.py fits the model and writes measured.json.
 """
 
 import json
@@ -148,7 +148,7 @@ def regressors(values: Mapping[str, float]) -> dict[str, float]:
 def expect(
     scene: Scene, proportions: Proportions | None, model: Mapping[str, Any] | None = None
 ) -> Expectation:
-    """Predict the error bound of a scene; without `model`, from measured.json."""
+    """Predict the error bound of a scene; the default `model` is in measured.json."""
     model = model or table()
     law, motion = law_of(scene), motion_of(scene)
     solver = ON_LATTICE if scene.on_lattice else ", by MPM" if "elastic" in law else ""
@@ -222,7 +222,7 @@ def _describe_outside(
     if values["cells"] < measured["cells"][0]:
         return "on so coarse a grid"
     if values["thickness"] * MARGIN < measured["thickness"][0]:
-        return f"with so thin an object ({values['thickness']:.1f} cells of this grid)"
+        return f"with an object only {values['thickness']:.1f} grid cells thick"
     return ""
 
 

@@ -53,7 +53,7 @@ class Load:
         return cls(thread, thread if free else SECOND_THREAD * thread)
 
     def of(self, stage: str) -> float:
-        """Return the factor on the time of a stage."""
+        """Return the factor by which the load lengthens a stage."""
         return self.simulation if stage == "simulate" else self.thread
 
     def mean(self, other: Load) -> Load:
@@ -115,7 +115,7 @@ def _measure_fraction(threads: int) -> float:
 
 
 def _spin(seconds: float) -> float:
-    """Return the fraction of a core that this thread gets in `seconds` or longer."""
+    """Measure the fraction of a core's time that this thread gets, during at least `seconds`."""
     start, start_cpu, passed, ran = time.perf_counter(), time.thread_time(), 0.0, 0.0
     while passed < seconds or (ran < ENOUGH * seconds and passed < LONGEST * seconds):
         zlib.crc32(BLOCK)

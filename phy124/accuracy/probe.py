@@ -1,4 +1,4 @@
-"""Measures times for a forecast: substeps, shapes, and compilation."""
+"""Measures times for a forecast: substeps, deformation of the Gaussians, and compilation."""
 
 from __future__ import annotations
 
@@ -120,7 +120,7 @@ def _seconds_per_substep(
 def _time_substeps(
     simulation: Simulation, after: Callable[[], None] | None = None
 ) -> tuple[float, Stages]:
-    """Return the time of one of the next substeps [s], and its stages."""
+    """Return the mean time of the next substeps [s], and the times of their stages."""
     solver = simulation.solver
     each = min(measure_time(lambda: _advance(solver, 2, after)) / 2 for _ in range(2))
     _clear_timings(solver)
@@ -293,9 +293,7 @@ class Pilot:
         return int(np.ceil(total - 1e-9).sum()), fractions
 
     def growth_to(self, cells: int, finer: float) -> Growth:
-        """Return the ratios of a run on another grid, with cells that are `finer` times smaller, to
-        the pilot run.
-        """
+        """Return the ratios of a run with `finer` times smaller cells to the pilot run."""
         substeps = self.substeps(cells)[0] / max(self.substeps(self.cells)[0], 1)
         of_liquid = [
             np.ceil(sum(n * scale**SPLASH for n in self.steps.values()) - 1e-9)

@@ -86,7 +86,7 @@ class Promise:
 
     @property
     def missing(self) -> str:
-        """Which error was not measured, in a few words; may be empty."""
+        """Short description of an error that was not measured; may be empty."""
         if self.seconds is not None:
             return f"error after {self.seconds:.2f} s not measured"
         return UNMEASURED if self.unmeasured else ""

@@ -186,7 +186,7 @@ class OtherViews(Section):
         """
         if self.side is None and self.facing != "left":
             limit = "It describes the picture from the side, but there is none."
-            raise InputError("facing", self.facing, limit, "Set side to it, or remove facing.")
+            raise InputError("facing", self.facing, limit, "Set side, or remove facing.")
         known = signature(generator).parameters
         options: dict[str, Any] = dict(self.pictures)
         choices = self.model_dump(exclude_defaults=True, exclude={*options, "facing"})

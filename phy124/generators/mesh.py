@@ -368,7 +368,7 @@ def _split(
 
 
 def _is_opaque(piece: Trimesh, triangles: NDArray, weights: NDArray) -> NDArray[np.bool_]:
-    """Whether points [N] are visible, if the material cuts out transparent parts of its texture."""
+    """Whether points [N] are visible; the material may cut out transparent parts of its texture."""
     material: Any = getattr(piece.visual, "material", None)
     alpha = np.ones(len(triangles))
     if getattr(material, "alphaMode", None) != "MASK":

@@ -67,7 +67,7 @@ class Compressed(Exception):
 
 
 class _Files(FilePathResolver):
-    """The files next to a mesh; remembers the names of missing files and damaged pictures."""
+    """Finds the files next to a mesh; records the names of missing files and damaged pictures."""
 
     def __init__(self, source: str) -> None:
         super().__init__(source)
@@ -220,9 +220,9 @@ def _find_embedded(
 def _choose_coordinates(tree: dict[str, Any]) -> dict[str, dict[str, Any]]:
     """Make trimesh read the texture coordinates that the file's materials use.
 
-    trimesh reads only the first set of coordinates, and ignores texture transforms. The coordinates
-    are therefore swapped. Materials with another set or a transform are renamed. Returns the
-    transforms by the new names.
+    trimesh reads only the first set of coordinates, and ignores texture transforms. Another set is
+    therefore copied to the first set. Materials that use another set or a transform are renamed.
+    Returns the transforms by the new names.
     """
     placed: dict[str, dict[str, Any]] = {}
     materials = tree.get("materials", [])

@@ -78,7 +78,8 @@ def choose_look(rgba: Field) -> Literal["mirror", "plain"]:
 
 
 def body_without_handles(solid: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return a silhouette [H,W] without thin parts such as handles, cropped to the columns.
+    """Return a silhouette [H,W] without thin parts such as handles, and without empty columns at
+    the sides.
 
     Thin parts are kept if they are large.
     """
@@ -244,7 +245,7 @@ def _thickness(depth: Field) -> Field:
 
 
 def _between_ends(inside: NDArray[np.bool_], colours: Field, thick: Field) -> tuple[Field, Field]:
-    """Interpolate colours [H,W,3] along runs of inside pixels in rows; also return run lengths.
+    """Interpolate colours [H,W,3] along each row's runs of object pixels; also return run lengths.
 
     The colours of thin features, such as a beak, have a smaller weight.
     """

@@ -59,8 +59,8 @@ class Board:
         return (points @ planes[:, :3].T + planes[:, 3]).max(axis=1)
 
     def intersect(self, eye: Field, rays: Field) -> tuple[Field, Field]:
-        """Return where rays [N,3] from the eye enter and leave the board [N], in units of the rays'
-        lengths.
+        """Return the distances at which rays [N,3] from the eye enter and leave the board [N], in
+        units of the rays' lengths.
 
         If a ray misses the board, the first value is larger than the second.
         """

@@ -73,7 +73,7 @@ class Bands:
 
     @classmethod
     def of(cls, rgba: Field) -> Bands:
-        """Measure an image [H,W,4]."""
+        """Measure the colours along the outline of the object in an image [H,W,4]."""
         solid = rgba[..., 3] > 0.5
         outline = outline_of(solid)[:, 0]
         number = np.full(solid.shape, -1)

@@ -104,7 +104,7 @@ class Lathe:
 
     @cached_property
     def path(self) -> Field:
-        """Radius and height from the base's to the lid's centre [M+2,2]."""
+        """Radius and height of the profile, from the base's centre to the lid's centre [M+2,2]."""
         wall = np.stack([self.radii, self.heights], axis=1)
         return np.concatenate([[[0, self.heights[0]]], wall, [[0, self.heights[-1]]]])
 

@@ -16,6 +16,6 @@ def outline_of(object_mask: Mask) -> NDArray[np.int32]:
 
 
 def solidity(object_mask: Mask) -> float:
-    """Return the silhouette's area relative to the convex hull."""
+    """Return the silhouette's area, divided by the area of its convex hull."""
     hull = cv2.convexHull(outline_of(object_mask))
     return float(np.count_nonzero(object_mask) / max(cv2.contourArea(hull), 1.0))

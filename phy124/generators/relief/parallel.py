@@ -34,7 +34,8 @@ class Profile:
     """Whether the top is flat, and whether the bottom is flat."""
 
     def nearness(self, y: Field, distance: float) -> tuple[Field, Field]:
-        """Return how near each row's thickest point and nearest edge are to the other camera.
+        """Return the positions of each row's thickest point and nearest edge, along the axis
+        towards the other camera.
 
         `y` [N] are rows relative to the object's centre; the camera's `distance` is in pixels.
         """

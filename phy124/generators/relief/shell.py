@@ -43,7 +43,7 @@ class Shell:
     """Colours [N,3], 0..1."""
 
     def scale_depth(self, factor: float) -> Shell:
-        """Multiply the depths of all points in front of and behind the object's centre."""
+        """Multiply the depths of all points, relative to the object's centre, by a factor."""
         along = self.normals * [factor, factor, 1.0]
         stretch = np.linalg.norm(along, axis=1)
         return Shell(

@@ -203,7 +203,8 @@ def is_turned(object_mask: NDArray[np.bool_]) -> bool:
 def is_block(picture: Continued) -> bool:
     """Whether a symmetric outline is that of an angular object, such as a printer.
 
-    Objects with arcs at both ends are cylinders. Shields and clothes are convex and end in a tip.
+    Objects with arcs at both ends are cylinders, and therefore not angular. Convex objects that end
+    in a tip, such as shields and clothes, count as angular.
     """
     solid = picture.object_mask
     if picture.body is not None:

@@ -1,7 +1,7 @@
 """ImageDream's sampling: makes four views of an object from one image.
 
 Wang & Shi 2023, "ImageDream"; classifier-free guidance (Ho & Salimans 2022). A fifth frame contains
-the image itself, which LGM does not use.
+the image itself; LGM does not use this frame.
 """
 
 from __future__ import annotations
