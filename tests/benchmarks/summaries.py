@@ -189,7 +189,7 @@ NUMBERS: dict[str, Callable[[], str]] = {
     "speed-up": lambda: quote("benchmarks.md", r"\| \| 16 \| [\d,]+ \| ([\d.]+) \|"),
     "process": lambda: compute_memory(process=True),
     "particle": lambda: compute_memory(process=False),
-    "damaged": lambda: quote("stability.md", r"\*\*Damaged files\.\*\* ([\d,]+)"),
+    "damaged": lambda: quote("stability.md", r"read ([\d,]+) damaged PLY"),
     "gpu tests": count_failed_gpu_tests,
 }
 """Numbers in sentences, each between `<!-- =name -->` and `<!-- = -->`."""
