@@ -97,7 +97,7 @@ class Crew:
         self.stray, self._uncounted = (wp.zeros(1, dtype=int, device=device) for _ in range(2))
         self._read_stray = reader(self.stray)
         self.no_pull = wp.zeros(1, dtype=t.vec4, device=device)
-        """A uniform acceleration of zero, for launches without gravity."""
+        """A uniform acceleration of zero, for kernel launches without gravity."""
         self._middle = wp.zeros_like(nodes.u)
         """Velocities between two kicks of a substep, or before a kick of chosen nodes [N,3]."""
         self._unread = wp.zeros(MAXIMA, dtype=model.real, device=device)
@@ -176,7 +176,8 @@ class Crew:
         return [self.lasting, self._spans, self._push_donors]
 
     def trial(self, worker: Worker, u: wp.array, out: wp.array) -> list[Named]:
-        """Return the launches that sum a worker's forces due to trial displacements `u` [N,3], m.
+        """Return the kernel launches that sum a worker's forces due to trial displacements `u`
+        [N,3], m.
 
         `out` is the worker's part of a pool.
         """
@@ -211,7 +212,8 @@ class Crew:
         return [group for group in self._model.groups if is_viscous(group, self._model)]
 
     def viscosity(self, worker: Worker, out: wp.array) -> list[Named]:
-        """Return the launches that sum a worker's viscous forces after the velocities have changed.
+        """Return the kernel launches that sum a worker's viscous forces after the velocities have
+        changed.
 
         The viscous forces are computed as the forces of a material without stiffness.
         """
@@ -235,7 +237,8 @@ class Crew:
     def work(
         self, worker: Worker, at: int, tracks: Tracks, out: wp.array, pool: wp.array | None = None
     ) -> list[Named]:
-        """Return the launch that sums the work of forces on a worker's nodes, after all contact.
+        """Return the kernel launch that sums the work of forces on a worker's nodes, after all
+        contact.
 
         Args:
             worker: The worker.
@@ -257,7 +260,7 @@ class Crew:
         return launches([("work", model.launch(kernel, span.stop - span.start, inputs, [out]))])
 
     def push_work(self, worker: Worker, tracks: Tracks, out: wp.array) -> list[Named]:
-        """Return the launch that sums impulse and work of a worker's forces on points.
+        """Return the kernel launch that sums impulse and work of a worker's forces on points.
 
         The sums `out` are in the order of phy124/kernels/work.py.
         """
@@ -314,7 +317,7 @@ class Crew:
     def _stress_of(
         self, worker: Worker, group: Group, u: wp.array, outputs: list[wp.array]
     ) -> Recorded:
-        """Record the launch that adds the stress forces of a group to the nodes.
+        """Record the kernel launch that adds the stress forces of a group to the nodes.
 
         The `outputs` are the forces and, for vectorised kernels, the maxima of the motion and the
         number of non-finite points.
@@ -335,7 +338,7 @@ class Crew:
         return self._vectors and simd.has_stress(group.law)
 
     def totals(self, group: Group, outputs: list[wp.array]) -> list[wp.Launch | None]:
-        """Record the vectorised launches that sum a group's energy and power."""
+        """Record the vectorised kernel launches that sum a group's energy and power."""
         constants = [group.start, self._model.dx, group.theta]
         motion, kernel = [self.nodes.u, self.nodes.v], simd.make_totals_simd(group.law)
         spans = [_common(worker.points, group.particles) for worker in self.workers]
@@ -346,7 +349,7 @@ class Crew:
         ]
 
     def kick(self, worker: Worker, tracks: Tracks, *, pushed: bool) -> list[Named]:
-        """Return the launches that apply the forces to a worker's nodes.
+        """Return the kernel launches that apply the forces to a worker's nodes.
 
         `pushed` states whether forces act on points.
         """
@@ -417,8 +420,8 @@ class Crew:
         return largest
 
     def accelerate(self, worker: Worker, pool: wp.array | None, out: wp.array) -> list[Named]:
-        """Return the launches that compute accelerations `out` [N,3], m/s^2, of a worker's nodes
-        without gravity.
+        """Return the kernel launches that compute accelerations `out` [N,3], m/s^2, of a worker's
+        nodes without gravity.
 
         `pool` contains the forces; None: the forces of the stress in the last substep.
         """

@@ -29,7 +29,7 @@ class Impulses:
         """Impulse on each node [N,3], N s."""
 
     def press(self, near: wp.array, force: wp.array) -> wp.Launch:
-        """Record the launch that adds a wall's impulses to the sums.
+        """Record the kernel launch that adds a wall's impulses to the sums.
 
         `near` contains the indices of the points, one per thread. `force` [S,3], N, contains the
         mean forces in a substep.
@@ -39,7 +39,7 @@ class Impulses:
         return cast("wp.Launch", launch)
 
     def hold(self, clamps: list[Named], held: NDArray[np.int64]) -> list[Named]:
-        """Return the clamps' launches, and launches that sum the clamps' impulses.
+        """Return the clamps' kernel launches, and launches that sum the clamps' impulses.
 
         An impulse is the change of the momenta of the nodes `held`.
         """

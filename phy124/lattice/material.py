@@ -99,7 +99,7 @@ class Material(Kept):
         self._launches = [cast("wp.Launch", launch) for launch in (touch, resist, total)]
 
     def stages(self, passed: PassedOn | None) -> list[list[Named]]:
-        """Return the launches of a substep that apply, correct and sum contact impulses."""
+        """Return the kernel launches of a substep that apply, correct and sum contact impulses."""
         near = self._list, self._points[:2], self.force
         self._passed = None if passed is None else passed.of(*near)
         return [[("pairs", self._stage(number))] for number in range(3)]

@@ -92,7 +92,7 @@ class Meetings(Kept):
         return [*self.of_bodies, *self.of_pairs]
 
     def stages(self, passed: PassedOn | None) -> list[list[Named]]:
-        """Return the launches of a substep that apply, correct and sum contact impulses."""
+        """Return the kernel launches of a substep that apply, correct and sum contact impulses."""
         stages = [meeting.record(self.work, passed) for meeting in self.every]
         return [[each[k] for each in stages if len(each) > k] for k in range(3)]
 

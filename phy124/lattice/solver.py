@@ -223,7 +223,7 @@ class LatticeSolver(Kept):
         """The phase of a substep that completes the forces on all nodes."""
 
     def _contact(self) -> list[Named]:
-        """Return the launches of all kinds of contact.
+        """Return the kernel launches of all kinds of contact.
 
         All impulses of the last substep are applied before any impulse is corrected.
         """
@@ -234,7 +234,7 @@ class LatticeSolver(Kept):
         ]
 
     def _push(self, worker: int) -> list[Any]:
-        """Return a worker's launches that apply forces to points.
+        """Return a worker's kernel launches that apply forces to points.
 
         The first worker gets all launches if a launch cannot be divided between workers.
         """

@@ -1,4 +1,4 @@
-"""Records the launches of walls and clamps on a lattice, with sums of impulse and work.
+"""Records the kernel launches of walls and clamps on a lattice, with sums of impulse and work.
 
 Walls act on surface points, and clamps act on nodes (phy124/lattice/clamps.py).
 """
@@ -176,7 +176,8 @@ class Walls:
         return PassedOn(model, nodes, tracks.clock, self._holder, self.sums, self.impulses)
 
     def stages(self, passed: PassedOn | None) -> list[list[Named]]:
-        """Return the launches of a substep that apply, correct and sum the impulses of walls.
+        """Return the kernel launches of a substep that apply, correct and sum the impulses of
+        walls.
 
         Clamps act before the impulses.
         """

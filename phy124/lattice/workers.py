@@ -18,7 +18,7 @@ MEASURE, PLACE = -1, -2
 
 @dataclass
 class Worker:
-    """The points and nodes of one thread, and the thread's launches."""
+    """The points and nodes of one thread, and the thread's kernel launches."""
 
     points: slice
     """Range of indices of the worker's points; the points fill a whole number of cells."""

@@ -317,7 +317,7 @@ class Bodies(Kept):
         return other, turn
 
     def yields(self, cells: Cells, clock: wp.array, worker: int, real: Any) -> Repeatable | None:
-        """Return a worker's launch that adds the bodies' surfaces to the pressure equation.
+        """Return a worker's kernel launch that adds the bodies' surfaces to the pressure equation.
 
         Args:
             cells: The cells.
@@ -333,8 +333,8 @@ class Bodies(Kept):
         return cells.record(worker, kernels.make_yield(real), inputs, outputs)
 
     def answer(self, walls: Walls, step: wp.array, model: Model) -> wp.Launch | None:
-        """Return the launch that writes the motions of solids and bodies after the pressure has
-        acted.
+        """Return the kernel launch that writes the motions of solids and bodies after the pressure
+        has acted.
         """
         inputs = [self._solids.first(walls), self._solids.scale, self._solids.plans]
         inputs += [self._solids.centres, self._mobility]
@@ -414,7 +414,7 @@ class Bodies(Kept):
         return 4 * float(height) / _wave_speed(self._model, body)
 
     def push_out(self, cells: Cells, walls: Walls, model: Model, x: Any) -> wp.Launch | None:
-        """Return the launch that moves particles of the liquid out of the bodies.
+        """Return the kernel launch that moves particles of the liquid out of the bodies.
 
         Args:
             cells: The cells.

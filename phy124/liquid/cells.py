@@ -82,7 +82,7 @@ class Region:
 
 
 class OverActive:
-    """A launch on the CPU with one thread per active cell of a worker.
+    """A kernel launch on the CPU with one thread per active cell of a worker.
 
     In a cheap kernel, a thread without work takes as long as a thread that processes a cell.
     """
@@ -91,7 +91,7 @@ class OverActive:
         self.recorded, self._ends = launch, ends
 
     def launch(self) -> None:
-        """Repeat the launch for the active cells."""
+        """Repeat the kernel launch for the active cells."""
         count = int(self._ends[1] - self._ends[0])
         if count != self.recorded.bounds.size:
             self.recorded.set_dim(count)

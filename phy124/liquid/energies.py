@@ -38,7 +38,7 @@ class Works(NamedTuple):
 
 
 class Energies(Kept):
-    """Records the launches that sum mechanical work, after `start` has been called."""
+    """Records the kernel launches that sum mechanical work, after `start` has been called."""
 
     kept = ("_sums",)
 
@@ -69,7 +69,7 @@ class Energies(Kept):
             self._before = wp.zeros_like(self._cells.velocity)
 
     def before_pressure(self, worker: int) -> list[Recorded]:
-        """Return a worker's launches that store velocities and sum the work of the walls' drag."""
+        """Return the kernel launches that store velocities and sum the work of the walls' drag."""
         if not self.on:
             return []
         cells, keep = self._cells, kernels.make_keep(self._model.real)
@@ -77,7 +77,7 @@ class Energies(Kept):
         return [(STAGE, copy), *self.of_walls(kernels.AT_DRAG, worker)]
 
     def of_walls(self, at: int, worker: int) -> list[Recorded]:
-        """Return a worker's launch that sums the work of walls since the start of the step."""
+        """Return the kernel launch that sums the work of walls since the start of the step."""
         if not (self.on and self._walls.all):
             return []
         inputs = [at, self._fixed, self._walls.motions, self._impulses.rows(worker)]
@@ -85,7 +85,7 @@ class Energies(Kept):
         return [(STAGE, self._model.launch(kernel, 1, inputs, [self._row(worker)]))]
 
     def of_faces(self, worker: int, viscosity: float) -> list[Recorded]:
-        """Return a worker's launch that sums the work on the faces of cells.
+        """Return a worker's kernel launch that sums the work on the faces of cells.
 
         `viscosity` is 0 if no liquid is viscous.
         """
@@ -100,8 +100,8 @@ class Energies(Kept):
         return [(STAGE, cells.record(worker, kernel, inputs, [self._row(worker)]))]
 
     def of_shifts(self, worker: int, run: slice, sign: float) -> list[Recorded]:
-        """Return a worker's launch that sums the work of displacements; `sign` is -1 before the
-        particles are displaced, and 1 afterwards.
+        """Return a worker's kernel launch that sums the work of displacements; `sign` is -1 before
+        the particles are displaced, and 1 afterwards.
         """
         if not self.on:
             return []

@@ -164,7 +164,7 @@ class ImmersedSolver:
 
     @property
     def timings(self) -> Timings:
-        """Seconds and number of launches of each stage, in the lattices' first thread."""
+        """Seconds and number of kernel launches of each stage, in the lattices' first thread."""
         return self.lattice.timings
 
     def __getattr__(self, name: str) -> Any:

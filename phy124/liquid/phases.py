@@ -138,7 +138,7 @@ class Phases:
         return range(self._first[name], self._last[name])
 
     def extent(self, worker: int) -> list[Named]:
-        """Return the launches that measure the extent of a worker's particles."""
+        """Return the kernel launches that measure the extent of a worker's particles."""
         model, s, run = self._model, self._state, self._run(worker)
         threads, *fraction = shared_out(run.stop - run.start, model.device)
         row = cast("wp.array", self.extents[worker])
@@ -255,7 +255,7 @@ class Phases:
         return name, self._cells.record(worker, kernel, inputs, outputs)
 
     def _push(self, stages: Sequence[Stage], worker: int, grid: Grid) -> list[Named]:
-        """Return a worker's launches that apply forces to particles.
+        """Return a worker's kernel launches that apply forces to particles.
 
         The first worker gets all launches if one of them cannot be divided.
         """
@@ -453,7 +453,7 @@ class Phases:
         return self._over_cells(worker, "density", kernel, inputs, [mixed])
 
     def _meet(self, worker: int) -> list[Recorded]:
-        """Return a worker's launches that sum the impulses of the pressure between liquids."""
+        """Return the kernel launches that sum the impulses of the pressure between liquids."""
         cells, liquids = self._cells, self._mixture
         kernel, records = mixture.make_meeting(self._model.real), []
         for index, pair in enumerate(liquids.pairs):

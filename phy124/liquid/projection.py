@@ -54,7 +54,7 @@ class Projection:
     def list_cells(
         self, cells: Cells, worker: int, flags: wp.array
     ) -> tuple[list[Recorded], list[Recorded]]:
-        """Return a worker's launches that count and then list the active cells whose flag is 1."""
+        """Return the kernel launches that count and then list the active cells whose flag is 1."""
         launch, (part, parts) = self._model.launch, self.part(worker)
         inputs = [part, cells.active, cells.ends, flags]
         count = launch(count_liquid, parts, inputs, [self.counts])
@@ -64,7 +64,7 @@ class Projection:
     def phases(
         self, cells: Cells, x: wp.array, worker: int, *, rigid: bool = False
     ) -> list[list[Recorded]]:
-        """Return a worker's launches that solve an equation.
+        """Return a worker's kernel launches that solve an equation.
 
         The first list of launches begins the solution. Three pairs of lists (advance, improve)
         follow: one pair for the first iteration, one for odd iterations, and one for even
@@ -115,7 +115,7 @@ class Projection:
         return phases
 
     def project(self, cells: Cells, x: wp.array, worker: int) -> list[Recorded]:
-        """Return a worker's launch that sums the impulse of the pressure on each solid."""
+        """Return a worker's kernel launch that sums the impulse of the pressure on each solid."""
         part, parts = self.part(worker)
         inputs = [part, self.solids, self.counts, cells.listed, cells.which]
         inputs += [cells.jumps, cells.turns, x]

@@ -55,7 +55,7 @@ class Pushes:
         return wp.zeros(len(self._model) if needed else 0, dtype=dtype, device=self._model.device)
 
     def keep(self, run: slice) -> list[Named]:
-        """Return the launches that store a worker's velocities before forces act."""
+        """Return the kernel launches that store a worker's velocities before forces act."""
         return self._copy(0, run)
 
     def _copy(self, index: int, run: slice) -> list[Named]:

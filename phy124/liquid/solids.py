@@ -42,7 +42,7 @@ class Solids:
         return len(walls.all) - self._projection.solids
 
     def kick(self, tracks: Tracks) -> list[Recorded]:
-        """Return the launches that apply gravity to the freely moving solids."""
+        """Return the kernel launches that apply gravity to the freely moving solids."""
         records = []
         for index, (solid, body) in enumerate(
             zip(self.bodies.all, self.bodies.numbers, strict=True)
@@ -62,7 +62,8 @@ class Solids:
         tracks: Tracks,
         worker: int,
     ) -> list[list[Recorded]]:
-        """Return a worker's launches that run before the divergence of the velocities is computed.
+        """Return a worker's kernel launches that run before the divergence of the velocities is
+        computed.
 
         Args:
             cells: The cells.
@@ -89,7 +90,7 @@ class Solids:
         return [[(STAGE, lift)], [(STAGE, predict)]]
 
     def jumps(self, cells: Cells, walls: Walls, worker: int) -> Recorded:
-        """Return a worker's launch that writes the matrix J (phy124/kernels/liquid/solids.py)."""
+        """Return the kernel launch that writes the matrix J (phy124/kernels/liquid/solids.py)."""
         inputs = [self.first(walls), cells.lattice, cells.window, cells.open]
         inputs += [cells.covers, cells.distances, cells.owners, cells.liquid, self.centres]
         outputs = [cells.which, cells.jumps, cells.turns]
@@ -98,7 +99,7 @@ class Solids:
     def respond(
         self, walls: Walls, impulses: WallImpulses, tracks: Tracks, pulled: bool
     ) -> list[Recorded]:
-        """Return the launches that apply the liquid's impulses to freely moving solids.
+        """Return the kernel launches that apply the liquid's impulses to freely moving solids.
 
         Args:
             walls: The walls.

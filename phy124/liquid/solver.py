@@ -228,7 +228,7 @@ class LiquidSolver(Kept):
 
     @property
     def timings(self) -> Timings:
-        """Seconds and number of launches of each stage, in the first thread."""
+        """Seconds and number of kernel launches of each stage, in the first thread."""
         return self.workers[0].timings
 
     def advance(

@@ -41,7 +41,7 @@ class Viscosity:
         """The last pressure times this factor is the next initial guess."""
 
     def fit(self, walls: Walls, solid: int, tracks: Tracks, impulses: WallImpulses) -> None:
-        """Allocate the arrays of a window, and set the objects that the launches use.
+        """Allocate the arrays of a window, and set the objects that the kernel launches use.
 
         Args:
             walls: The walls.
@@ -65,7 +65,7 @@ class Viscosity:
         self._excess = wp.zeros(count, dtype=wp.float64, device=device)
 
     def prepare(self, worker: int) -> Iterator[list[Recorded]]:
-        """Yield a worker's launches that set up the equation."""
+        """Yield a worker's kernel launches that set up the equation."""
         cells, walls, real = self._cells, self._walls, self._model.real
         yield [self._anticipate(worker, -1.0)]
         inputs = [self._solid, cells.lattice, cells.window, cells.known, cells.open]
@@ -81,7 +81,7 @@ class Viscosity:
         yield from self._projection.list_cells(cells, worker, self._wet)
 
     def phases(self, worker: int) -> Iterator[list[Recorded]]:
-        """Yield a worker's launches that solve the equation.
+        """Yield a worker's kernel launches that solve the equation.
 
         The first two lists begin the solution. Three lists follow for each even iteration, and
         three for each odd iteration.
@@ -104,7 +104,8 @@ class Viscosity:
             yield [self._launch(stress.relax, part[1], [*inputs, direction], outputs)]
 
     def finish(self, worker: int, sums: wp.array) -> Iterator[list[Recorded]]:
-        """Yield a worker's launches that store the new velocities and sum the impulses on walls.
+        """Yield a worker's kernel launches that store the new velocities and sum the impulses on
+        walls.
 
         `sums` contains the momenta and masses of the faces.
         """
@@ -130,7 +131,7 @@ class Viscosity:
         yield [self._anticipate(worker, 1.0)]
 
     def omit_slivers(self, worker: int) -> list[Recorded]:
-        """Return a worker's launch that marks velocities in slivers of liquid for extrapolation."""
+        """Return the kernel launch that marks velocities in slivers of liquid for extrapolation."""
         if self.rate == 0:
             return []
         cells, mixture = self._cells, self._mixture
@@ -140,7 +141,7 @@ class Viscosity:
         return [(STAGE, cells.record(worker, kernel, inputs, [cells.known]))]
 
     def release(self, worker: int) -> list[Recorded]:
-        """Return a worker's launch that subtracts the viscous pressure from the pressure."""
+        """Return a worker's kernel launch that subtracts the viscous pressure from the pressure."""
         if self.rate == 0:
             return []
         kernel = viscous.make_release(self._model.real)

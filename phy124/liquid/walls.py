@@ -144,7 +144,7 @@ class Walls:
     def describe(
         self, cells: Cells, worker: int, workers: int, *, move: bool
     ) -> list[list[Recorded]]:
-        """Return a worker's launches that write the walls into the cells.
+        """Return a worker's kernel launches that write the walls into the cells.
 
         Args:
             cells: The cells.
@@ -189,7 +189,7 @@ class Walls:
         return distance, [openings, record(kernels.make_eighths, 8 * count, near, [cells.eighths])]
 
     def share(self, cells: Cells, region: Region, worker: int, workers: int) -> Recorded:
-        """Return a worker's launch that computes the fractions of B-splines inside walls.
+        """Return a worker's kernel launch that computes the fractions of B-splines inside walls.
 
         Args:
             cells: The cells.
@@ -218,7 +218,7 @@ class Walls:
     def push_out(
         self, cells: Cells, run: slice, state: State, sums: wp.array, *, stops: bool
     ) -> list[Recorded]:
-        """Return a worker's launches that move particles out of all walls.
+        """Return a worker's kernel launches that move particles out of all walls.
 
         Args:
             cells: The cells.

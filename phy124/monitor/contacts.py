@@ -55,7 +55,7 @@ class Contacts(Observer):
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
-        """Return the row of the effects report."""
+        """Return the entry in the report's list of effects."""
         walls = len(subject.scene.boundaries)
         asked, why = (
             subject.scene.keeps_contacts and walls > 0,

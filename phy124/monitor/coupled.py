@@ -151,16 +151,16 @@ class CoupledContacts(Contacts):
 
 
 class CoupledPairs(LatticePairs):
-    """Lists the bodies on lattices in the effects report."""
+    """Adds the bodies on lattices to the report's list of effects."""
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
-        """Return the row of the effects report before a run."""
+        """Return the entry in the report's list of effects before a run."""
         bodies = ", ".join(elastic_names(subject.scene))
         return Effect(f"rest lattices (accuracy.solver = lattice) for {bodies}; others by MPM")
 
     def finished_effect(self, subject: Subject) -> Effect:
-        """Return the row of the effects report after a run."""
+        """Return the entry in the report's list of effects after a run."""
         return self.effect(subject)
 
 

@@ -62,7 +62,7 @@ class Dissipation(Observer):
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect | None:
-        """Return the row of the effects report."""
+        """Return the entry in the report's list of effects."""
         why = "checks.energy is off: the causes of energy loss are not distinguished"
         return Effect("work of the stress", cls.called_for(subject), why)
 
@@ -77,7 +77,8 @@ class Dissipation(Observer):
     def record(
         self, part: Part, worker: int, model: Model, state: State, tracks: Tracks
     ) -> Recorded:
-        """Record the launch that sums the work of the stress on a worker's particles of one law.
+        """Record the kernel launch that sums the work of the stress on a worker's particles of one
+        law.
 
         Args:
             part: A worker's particles of one law.

@@ -90,7 +90,7 @@ class ExternalWork(Observer):
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
-        """Return the row of the effects report; a constant uniform force needs no sums."""
+        """Return the entry in the report's list of effects; a constant uniform force needs no sums."""
         scene, why = (
             subject.scene,
             "checks.balance is off: an unstable run is detected only when values become NaN",
@@ -112,8 +112,8 @@ class ExternalWork(Observer):
         """
         self._summed = summed
         self._device: dict[str, wp.array] = {}
-        """Sums [W,ROOM] since launches were last recorded; the totals do not contain these sums
-        yet.
+        """Sums [W,ROOM] since kernel launches were last recorded; the totals do not contain these
+        sums yet.
         """
         self.stored = 0.0
         """Energy gained without motion since the start [J]."""
@@ -244,7 +244,7 @@ class ExternalWork(Observer):
         return total
 
     def _open(self, name: str) -> Sums:
-        """Return the sums of all workers since launches were last recorded."""
+        """Return the sums of all workers since kernel launches were last recorded."""
         rows: NDArray[Any] = self._device[name].numpy()
         return rows[:, : kernels.EXCHANGE].sum(axis=0)
 

@@ -62,11 +62,11 @@ class ImmersedWrenches(LatticeWrenches):
 
 
 class ImmersedPairs(CoupledPairs):
-    """Lists the bodies on lattices in the effects report."""
+    """Adds the bodies on lattices to the report's list of effects."""
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
-        """Return the row of the effects report."""
+        """Return the entry in the report's list of effects."""
         scene = subject.scene
         bodies, solver = ", ".join(elastic_names(scene)), scene.resolution.solver
         return Effect(f"rest lattices (accuracy.solver = {solver}) for {bodies}, in the liquid")

@@ -76,7 +76,7 @@ class Interior(Observer):
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
-        """Return the row of the effects report."""
+        """Return the entry in the report's list of effects."""
         grains = subject.scene.grains
         why = "no elastic material could be torn" if grains else "grains is off"
         return Effect("inside of torn material", subject.elastic and grains, why)

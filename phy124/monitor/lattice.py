@@ -200,7 +200,7 @@ class LatticeContacts(Contacts):
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
-        """Return the row of the effects report; the sums cost less time than the contact."""
+        """Return the entry in the report's list of effects; the sums cost less time than the contact."""
         return super().effect(subject)._replace(cost=Cost())
 
     def wrap_walls(self, walls: Sequence[Boundary], inner: Sequence[Attachable]) -> Any:
@@ -244,11 +244,11 @@ class LatticeContacts(Contacts):
 
 
 class LatticeMethod(Observer):
-    """Adds a row about the solver to the effects report."""
+    """Adds an entry about the solver to the report's list of effects."""
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
-        """Return the row of the effects report."""
+        """Return the entry in the report's list of effects."""
         solver = subject.scene.resolution.solver
         return Effect(
             f"rest lattice (accuracy.solver = {solver}): no transfers, no tearing, no sorting"
@@ -256,13 +256,13 @@ class LatticeMethod(Observer):
 
 
 class LatticeShock(Observer):
-    """Adds a row about artificial viscosity in fast compression to the effects report."""
+    """Adds an entry about artificial viscosity in fast compression to the report's list of effects."""
 
     NAME = "artificial viscosity in fast compression"
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
-        """Return the row of the effects report before a run."""
+        """Return the entry in the report's list of effects before a run."""
         return Effect(f"{cls.NAME}, if material is compressed nearly as fast as sound")
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
@@ -270,14 +270,14 @@ class LatticeShock(Observer):
         self._clock = getattr(solver.lattice, "clock", solver.clock)
 
     def finished_effect(self, subject: Subject) -> Effect:
-        """Return the row of the effects report after a run."""
+        """Return the entry in the report's list of effects after a run."""
         count = self._clock.shocked
         why = "nothing was compressed nearly as fast as sound"
         return Effect(f"{self.NAME}, in {count:,} substeps" if count else self.NAME, count > 0, why)
 
 
 class LatticePairs(Observer):
-    """Adds a row about contact between bodies to the effects report."""
+    """Adds an entry about contact between bodies to the report's list of effects."""
 
     @classmethod
     def called_for(cls, subject: Subject) -> bool:
@@ -286,29 +286,29 @@ class LatticePairs(Observer):
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
-        """Return the row of the effects report before a run."""
+        """Return the entry in the report's list of effects before a run."""
         return Effect("contact of surface points between objects")
 
     def finished_effect(self, subject: Subject) -> Effect:
-        """Return the row of the effects report after a run."""
+        """Return the entry in the report's list of effects after a run."""
         most = sum(meeting.most for meeting in self._solver.meetings.of_pairs)
         name = f"contact between objects, at most at {most} surface points"
         return Effect(name, most > 0, "no objects came near each other")
 
 
 class LatticeSelfContact(Observer):
-    """Adds a row about contact of a body with itself to the effects report."""
+    """Adds an entry about contact of a body with itself to the report's list of effects."""
 
     LOOKING = Cost(fixed=40e3)
     """Cost of the search for close parts of an object with 50,000 points."""
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
-        """Return the row of the effects report before a run."""
+        """Return the entry in the report's list of effects before a run."""
         return Effect("self-contact, if parts come near each other", cost=cls.LOOKING)
 
     def finished_effect(self, subject: Subject) -> Effect:
-        """Return the row of the effects report after a run."""
+        """Return the entry in the report's list of effects after a run."""
         most = max((m.most for m in self._solver.meetings.of_bodies), default=0)
         name = f"self-contact of at most {most} pairs of points" if most else "self-contact"
         return Effect(name, most > 0, "no parts came near each other", self.LOOKING)

@@ -30,7 +30,7 @@ class LatticeDissipation(LiquidDissipation):
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
-        """Return the row of the effects report."""
+        """Return the entry in the report's list of effects."""
         why = "checks.energy is off: the causes of energy loss are not distinguished"
         return Effect("work of forces, stress and contact", cls.called_for(subject), why)
 

@@ -33,7 +33,7 @@ class LiquidDissipation(Dissipation):
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect | None:
-        """Return the row of the effects report; None without liquid."""
+        """Return the entry in the report's list of effects; None without liquid."""
         why = "checks.energy is off: the causes of energy loss are not distinguished"
         name = "work on the liquid by cause"
         return Effect(name, cls.called_for(subject), why) if subject.scene.projects else None

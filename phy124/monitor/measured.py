@@ -67,7 +67,7 @@ class NodesNear:
         self.read = [each, box, grid.window, grid.nodes]
 
     def record_copy(self, grid: Grid) -> wp.Launch | None:
-        """Call `fit`, and record the launch that copies the nodes."""
+        """Call `fit`, and record the kernel launch that copies the nodes."""
         self.fit(grid)
         kernel = make_wall_copy(self._model.real)
         return self._model.launch(kernel, self.threads, self.read, [self.copy])

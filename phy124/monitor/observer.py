@@ -45,7 +45,7 @@ UNKNOWN = Cost()
 
 
 class Effect(NamedTuple):
-    """A row of the effects report."""
+    """An entry in the report's list of computed and omitted effects."""
 
     name: str
     called_for: bool = True
@@ -124,8 +124,8 @@ class Observer(Kept):
     in_substeps: ClassVar[bool] = False
     """Whether sums are updated in each substep; a rejected substep restores them."""
     in_gathers: ClassVar[bool] = False
-    """Whether a launch follows each gather (the transfer from grid to particles); a rejected frame
-    restores the sums.
+    """Whether a kernel launch follows each gather (the transfer from grid to particles); a rejected
+    frame restores the sums.
     """
 
     @classmethod
@@ -140,7 +140,7 @@ class Observer(Kept):
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect | None:
-        """Return the row of the effects report before a run, or None."""
+        """Return the entry in the report's list of effects before a run, or None."""
         return None
 
     @classmethod
@@ -171,7 +171,7 @@ class Observer(Kept):
     def record(
         self, part: Part, worker: int, model: Model, state: State, tracks: Tracks
     ) -> Recorded:
-        """Record the launch after each transfer to a worker's particles (if `in_gathers`).
+        """Record the kernel launch after each transfer to a worker's particles (if `in_gathers`).
 
         Args:
             part: A worker's particles of one law.
@@ -213,7 +213,7 @@ class Observer(Kept):
         return clip
 
     def finished_effect(self, subject: Subject) -> Effect | None:
-        """Return the row of the effects report after a run."""
+        """Return the entry in the report's list of effects after a run."""
         return self.effect(subject)
 
     def notes(self) -> list[str]:

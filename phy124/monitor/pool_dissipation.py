@@ -145,7 +145,8 @@ class MixedDissipation(PoolDissipation):
     def record(
         self, part: Part, worker: int, model: Model, state: State, tracks: Tracks
     ) -> Recorded:
-        """Record the launch that sums the work of the stress on a worker's particles of one law.
+        """Record the kernel launch that sums the work of the stress on a worker's particles of one
+        law.
 
         Args:
             part: A worker's particles of one law.

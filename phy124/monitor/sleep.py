@@ -71,7 +71,7 @@ class Sleep(Observer):
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
-        """Return the row of the effects report."""
+        """Return the entry in the report's list of effects."""
         sleeps = subject.scene.time.sleep
         why = "the object was never at rest long enough" if sleeps else "time.sleep is off"
         return Effect("sleep while all objects rest", sleeps, why)
@@ -143,7 +143,7 @@ class Sleep(Observer):
         return {"sleep": sleep}
 
     def finished_effect(self, subject: Subject) -> Effect:
-        """Return the row of the effects report, with start and duration of sleep."""
+        """Return the entry in the report's list of effects, with start and duration of sleep."""
         row = self.effect(subject)
         if self.since is None:
             return row._replace(called_for=False)

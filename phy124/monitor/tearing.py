@@ -87,7 +87,7 @@ class Tearing(Observer):
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
-        """Return the row of the effects report."""
+        """Return the entry in the report's list of effects."""
         why = "all moving materials flow, so they may separate and merge"
         name = "search for torn material and separate pieces in each frame"
         return Effect(name, subject.elastic, why)

@@ -60,7 +60,7 @@ class Wrenches(Observer):
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
-        """Return the row of the effects report."""
+        """Return the entry in the report's list of effects."""
         asked = subject.scene.keeps_wrenches and bool(subject.scene.boundaries)
         return Effect("force and torque per wall", asked, "not requested, or there is no boundary")
 

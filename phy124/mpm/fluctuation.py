@@ -98,7 +98,7 @@ class Fluctuation:
         return STAGE, model.launch(kernel, part.count, [*inputs, v[run], C[run]], outputs)
 
     def keep(self, part: Part) -> Recorded:
-        """Record the launch that restores the fluctuation after the gather."""
+        """Record the kernel launch that restores the fluctuation after the gather."""
         model, run = self.model, part.particles
         read = [array[run] for array in (self.v, self.C, self.v_noise, self.C_noise)]
         outputs = [self.state.v[run], self.state.C[run]]

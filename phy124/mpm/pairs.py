@@ -128,7 +128,7 @@ class Pairs(Kept):
         }
 
     def record(self, grids: Sequence[Grid], worker: int, workers: int) -> list[Recorded]:
-        """Record a worker's launches, one for each pair of bodies whose windows overlap.
+        """Record a worker's kernel launches, one for each pair of bodies whose windows overlap.
 
         Every node is in the layers of exactly one worker, which processes all pairs at this node in
         order.

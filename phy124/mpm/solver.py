@@ -60,7 +60,7 @@ class Solver(Kept):
     projects: ClassVar[bool] = False
     clock_type: ClassVar[type[Clock]] = Clock
     guest: Any = None
-    """A launch of another solver, made between the update of the grids and the walls."""
+    """A kernel launch of another solver, made between the update of the grids and the walls."""
 
     def __init__(
         self,

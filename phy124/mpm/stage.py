@@ -84,7 +84,7 @@ class Repeatable(Protocol):
     """A kernel launch that was recorded and can be repeated."""
 
     def launch(self) -> None:
-        """Repeat the launch."""
+        """Repeat the kernel launch."""
         ...
 
 

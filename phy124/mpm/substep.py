@@ -102,7 +102,7 @@ class Recorder:
     rpic: float = 0.0
     """Rate at which the symmetric part of the velocity gradients C decays [1/s]."""
     guest: Any = None
-    """A launch of another solver, made between the update of the grids and the walls."""
+    """A kernel launch of another solver, made between the update of the grids and the walls."""
 
     def record(
         self, pushes: Sequence[Stage], walls: Sequence[Stage], sums: Sequence[Stage]
@@ -215,7 +215,7 @@ class Recorder:
     def _wall(
         self, wall: Stage, grid: Grid, place: int, worker: int, *, alone: bool
     ) -> Recorded | None:
-        """Return a worker's launch for a wall and a body; if `alone`, only for the first worker."""
+        """Return the kernel launch for a wall and a body; if `alone`, only for the first worker."""
         if alone:
             return (wall.name, wall.record(grid)) if worker == 0 else None
         bodies = len(self._moving)
@@ -270,7 +270,8 @@ class Recorder:
         return [launch for launch in glances if launch is not None]
 
     def _scatter(self, part: Part) -> Iterator[Recorded]:
-        """Yield the launches that scatter a part of the particles, after RPIC damping if required.
+        """Yield the kernel launches that scatter a part of the particles, after RPIC damping if
+        required.
 
         The damping runs before the scatter instead of after the gather, so that measurements
         between two substeps include the strain of the substep.

@@ -79,7 +79,7 @@ class Part:
 
 @dataclass
 class Worker:
-    """The particles that one worker processes, and the launches for these particles."""
+    """The particles that one worker processes, and the kernel launches for these particles."""
 
     maxima: wp.array
     """Measured maxima of particles: `COUNT` numbers for each body, or for each part."""
@@ -298,7 +298,7 @@ def run_timed(timings: Timings, name: str, work: Callable[[], Result]) -> Result
 
 
 def add_timings(parts: Iterable[Timings]) -> Timings:
-    """Return the sums of the seconds and launches of each stage."""
+    """Return the sums of the seconds and kernel launches of each stage."""
     total: Timings = {}
     for part in parts:
         for name, (seconds, launches) in part.items():
