@@ -29,8 +29,8 @@ HELD = 0.5
 neighbour. Nodes farther inside the clamp do not move.
 """
 THINNEST = 0.75
-"""Smallest depth of a clamp below all its surfaces [cells]. A thinner clamp holds as if it were as
-thick, because it might contain no node, or nodes about which the material could turn.
+"""Smallest depth of a clamp below all its surfaces [cells]. A thinner clamp acts as if it had this
+depth. Otherwise, it might contain no node, or nodes about which the material could turn.
 """
 INSET = 0.2
 """Depth inside a clamp at which the motion of the material is set to zero [cells]. A B-spline that

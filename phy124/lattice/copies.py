@@ -36,13 +36,13 @@ class Layout(NamedTuple):
         ties: scipy.sparse.csr_matrix,
         pushes: scipy.sparse.csr_matrix,
     ) -> tuple[NDArray[np.int64], scipy.sparse.csr_matrix, scipy.sparse.csr_matrix]:
-        """Return tied nodes (with repeated nodes), their weights [T,N], and the matrix of pushes
-        [N,N].
+        """Return the tied nodes (with repeated nodes), their weights [T,N], and the weights of
+        forces [N,N].
 
         Args:
             tied: Indices of the distinct nodes that are tied.
             ties: Weights of the donors of these nodes [T,D].
-            pushes: Weights of pushes on distinct nodes [D,D], as in `RestLattice.pushes`.
+            pushes: Weights of forces on distinct nodes [D,D], as in `RestLattice.pushes`.
         """
         count, distinct = len(self.node), len(self.home)
         follows = np.zeros(distinct, bool)

@@ -54,8 +54,8 @@ class RestLattice:
     ties: scipy.sparse.csr_matrix
     """Weights with which the motions of all nodes determine each tied node's motion [T,N]."""
     pushes: scipy.sparse.csr_matrix
-    """Weights with which pushes on other nodes are added to the push on each node [N,N]. With these
-    weights, a uniform push accelerates all nodes equally.
+    """Weights with which forces on other nodes are added to the force on each node [N,N]. With
+    these weights, a uniform acceleration field accelerates all nodes equally.
     """
     body: NDArray[np.int64]
     """Body index of each node [N]."""

@@ -47,7 +47,7 @@ TOLERANCE, LOOSE = 1e-4, 1e-2
 right-hand side.
 """
 CROWDING = 0.4
-"""Largest rate at which an excess of density counts as a lack of space [1/s]."""
+"""Largest increase per second of the excess of density that counts as a lack of space [1/s]."""
 SETTLE = 4
 """Number of times that the density is corrected before the first step."""
 

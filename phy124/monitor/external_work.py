@@ -90,7 +90,9 @@ class ExternalWork(Observer):
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
-        """Return the entry in the report's list of effects; a constant uniform force needs no sums."""
+        """Return the entry in the report's list of effects; constant uniform forces need no
+        sums.
+        """
         scene, why = (
             subject.scene,
             "checks.balance is off: an unstable run is detected only when values become NaN",

@@ -200,7 +200,9 @@ class LatticeContacts(Contacts):
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
-        """Return the entry in the report's list of effects; the sums cost less time than the contact."""
+        """Return the entry in the report's list of effects; the sums take less time than
+        contact.
+        """
         return super().effect(subject)._replace(cost=Cost())
 
     def wrap_walls(self, walls: Sequence[Boundary], inner: Sequence[Attachable]) -> Any:
@@ -256,7 +258,7 @@ class LatticeMethod(Observer):
 
 
 class LatticeShock(Observer):
-    """Adds an entry about artificial viscosity in fast compression to the report's list of effects."""
+    """Adds an entry about artificial viscosity to the report's list of effects."""
 
     NAME = "artificial viscosity in fast compression"
 

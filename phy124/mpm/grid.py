@@ -31,8 +31,8 @@ class Unstable(RuntimeError):
 
     def __init__(self, what: str, dt: float = 0.0) -> None:
         self.dt = dt
-        """Length of a substep [s] whose half is short enough for the next attempt; 0: the length of
-        the last substep.
+        """Length of the failed substep [s], of which the next attempt takes at most half; 0: the
+        length of the last substep.
         """
         super().__init__(what)
 

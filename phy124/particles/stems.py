@@ -48,13 +48,13 @@ LOOSE = 1.4
 """Factor on the limits above before the balls have reached the axis."""
 DEEP = 0.87
 """Largest level of the samples of a voxel at a rim (RMS). A point at the level L is L times as far
-from the axis as the outline. Most voxels have 0.70 to 0.81 at rims.
+from the axis as the outline. Most voxels at rims have levels from 0.70 to 0.81.
 """
 FAR = 1.5
 """Smallest level of samples far outside of an outline."""
 MOST_FAR = 0.15
-"""Largest share of the samples around a stem that may lie far outside of its outline. Captured
-stems have at most 0.11, and rims have at least 0.19.
+"""Largest share of the samples around a stem that may lie far outside of its outline. This share is
+at most 0.11 in captured stems, and at least 0.19 at rims.
 """
 AROUND = 1.2
 """Radius in which samples around a stem are counted, relative to the radius of the ball."""

@@ -349,8 +349,9 @@ class Report(TypedDict):
     unregistered: list[str]
     """Classes of the scene that are defined only by the program that made the run."""
     capture: NotRequired[dict[str, Any]]
-    """For a file: `rotation`, `scale` and `shift` from its coordinates to those of the upright
-    object; `placement`, the same to the first frame [m]; with `--floor`, the detected floor.
+    """For a file: `rotation`, `scale` and `shift` that map the file's coordinates to those of the
+    upright object; `placement` maps them to the first frame [m]; with `--floor`, also the detected
+    floor.
     """
     playback: NotRequired[dict[str, Any]]
     """Pictures per second (`fps`), `speed` (1 is real time) and `seconds` of the videos."""

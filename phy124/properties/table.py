@@ -13,7 +13,7 @@ from phy124.io.ply import read_rows
 from phy124.properties.stiffness import MINIMUM
 
 COLUMNS = ("E", "nu", "density", "damping")
-"""Names of the numeric columns [Pa, 1, kg/m^3, Pa s]."""
+"""Names of the numeric columns; their units are Pa, 1, kg/m^3 and Pa s."""
 FRACTION = "fraction"
 """Name of the column with a factor on E."""
 EVERY = (*COLUMNS, FRACTION, "law")

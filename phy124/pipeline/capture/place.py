@@ -9,7 +9,7 @@ from phy124.scene import Scene
 from phy124.scene.files import files_named
 
 PAINTED = ("parts.", "stiffness.")
-"""First letters of the fields whose files are painted over a picture of the object."""
+"""Prefixes of the names of fields whose files are painted over a picture of the object."""
 
 
 def find_crop(file: PlyFile) -> Crop | None:
