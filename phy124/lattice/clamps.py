@@ -106,7 +106,9 @@ class Clamp:
 
 
 class PassedOn:
-    """Prepares launches that add contact impulses on clamped nodes to the sums of the clamps."""
+    """Prepares the kernel launches that add contact impulses on clamped nodes to the clamps'
+    sums.
+    """
 
     def __init__(
         self,

@@ -131,7 +131,7 @@ class Crew:
             worker.reach = reach
 
     def locate(self, worker: Worker) -> list[Named]:
-        """Return the launch that computes x and v of a worker's points, before forces act."""
+        """Return the kernel launch that computes x and v of points, before forces act."""
         nodes, state, model, points = self.nodes, self._state, self._model, worker.reach.points
         outputs = [state.x, state.v, self._kept]
         if self._vectors and len(points):

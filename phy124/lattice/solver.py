@@ -264,7 +264,7 @@ class LatticeSolver(Kept):
 
     @property
     def timings(self) -> Timings:
-        """For each stage of a substep, seconds and number of its launches in the first thread."""
+        """Seconds and number of kernel launches of each stage of a substep, in the first thread."""
         return self.workers[0].timings
 
     def start(self) -> None:

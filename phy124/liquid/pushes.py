@@ -65,7 +65,7 @@ class Pushes:
         return [(STAGE, partial(wp.copy, kept, a)) for kept, a in parts]
 
     def add(self, worker: int, run: slice) -> list[Named]:
-        """Return the launches that sum the momentum that a worker's particles gained by forces."""
+        """Return the kernel launches that sum the momentum that particles gained by forces."""
         if not self._in_cells:
             return self._copy(1, run)
         model, cells, s, count = self._model, self._cells, self._state, self._cells.count
@@ -75,7 +75,7 @@ class Pushes:
         return [*self._copy(1, run), (STAGE, gains.zero_), *launches([(STAGE, launch)])]
 
     def work(self, worker: int, run: slice) -> list[Recorded]:
-        """Return the launch that sums impulse and work of forces on particles after a step."""
+        """Return the kernel launch that sums a step's impulse and work of forces on particles."""
         if not self._works:
             return []
         model, s = self._model, self._state

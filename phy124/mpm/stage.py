@@ -30,7 +30,7 @@ class Stage(NamedTuple):
     alone: bool = False
     """Whether one worker launches the stage for all layers while the other workers wait."""
     with_update: Callable[[Grid], wp.Launch | None] | None = None
-    """Function that records one launch for the stage and the grid update; None if impossible."""
+    """Function that records one kernel launch for both the stage and the grid update, or None."""
     limit: Callable[[float, float], float] | None = None
     """Function that returns the largest acceleration of a particle [m/s^2] between two times [s].
     If `limit` is None, the track's values are used.
@@ -93,5 +93,5 @@ Recorded = tuple[str, Repeatable | None]
 
 
 def launches(records: list[Recorded]) -> list[Named]:
-    """Return named functions that repeat the recorded launches; missing launches are omitted."""
+    """Return a named function for each recorded kernel launch that repeats it; omit None."""
     return [(name, launch.launch) for name, launch in records if launch is not None]

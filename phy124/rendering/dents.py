@@ -64,12 +64,12 @@ class Dents:
         return np.minimum(rgb * (1 + self._shared @ change)[:, None], 1)
 
     def centres(self, x: NDArray) -> NDArray[np.float32]:
-        """Return the centres of the surface patches [m,3], m."""
+        """Return the centres of the P surface patches [P,3], m."""
         return self._mean @ x
 
     def normals(self, x: NDArray) -> NDArray[np.float32]:
-        """Return the outward unit normals of the patches [m,3]; 0 if the neighbours of a patch lie
-        on a line.
+        """Return the outward unit normals of the P patches [P,3]; 0 if the neighbours of a patch
+        lie on a line.
         """
         centres = self.centres(x)
         return _unit(np.cross(self._along @ centres, self._across @ centres)).astype(np.float32)
@@ -93,10 +93,10 @@ def _outward(x: NDArray, cell: float) -> NDArray[np.float64]:
 
 
 def _slopes(near: NDArray, features: NDArray, x: NDArray, outward: NDArray) -> tuple[Any, Any]:
-    """Return two matrices that compute slopes along the surface from a value on each of m patches.
+    """Return two matrices that compute slopes along the surface from a value on each of P patches.
 
     The two directions and the outward normal of a patch are perpendicular to each other. A slope is
-    a least-squares fit to the nearest patches, whose indices are `near` [m,k].
+    a least-squares fit to the nearest patches, whose indices are `near` [P,k].
     """
     m = len(x)
     outward = _unit(outward)

@@ -80,7 +80,8 @@ class Affine:
         self._fit: Any = scipy.sparse.csr_matrix((values.ravel(), places), (3 * m, n))
 
     def fit(self, x: NDArray[np.float32], prior: NDArray) -> NDArray[np.float32]:
-        """Return the transposed deformation gradients of m groups of points at x [n,3], m.
+        """Return the transposed deformation gradients [G,3,3] of the groups of points at x [n,3],
+        m.
 
         `prior` is used in directions in which a group has no extent.
         """
@@ -89,7 +90,7 @@ class Affine:
 
 
 def _largest_stretch(F: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return the largest stretch of each F [m,3,3], by Smith's formula for eigenvalues (1961)."""
+    """Return the largest stretch of each F [G,3,3], by Smith's formula for eigenvalues (1961)."""
     r = F.transpose(1, 2, 0)
     xx, yy, zz = (np.einsum("im,im->m", row, row) for row in r)
     xy, yz, zx = (np.einsum("im,im->m", r[k], r[k - 2]) for k in range(3))
@@ -102,7 +103,7 @@ def _largest_stretch(F: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def _polar(F: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return the rotation R of F = R U [m,3,3], and |det F| [m].
+    """Return the rotations R [G,3,3] of F = R U, and |det F| [G].
 
     R is computed by Newton steps (Higham 1986), which are scaled to det R = 1.
     """

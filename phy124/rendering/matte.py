@@ -144,8 +144,8 @@ def interpolate(
     """Interpolate values of cells linearly at n points, between the eight cells around each point.
 
     Args:
-        values: Values of some of the cells [m].
-        cells: Indices of these cells [m].
+        values: Values of K of the cells [K].
+        cells: Indices of these K cells [K].
         count: Number of all cells.
         corner: For each point, the index of the lowest of the eight cells [n].
         shares: Distance of the point from the centre of this cell along each axis [3,n], in cells.

@@ -95,7 +95,7 @@ def make_body(gaussians: Gaussians, scene: Scene, crop: Crop, placed: Placed | N
             shapes or copies of the first object.
         scene: The scene.
         crop: Position of the first object in its picture.
-        placed: If it is known, the single object of the scene in its position.
+        placed: The scene's single object in its position, if it was placed before.
 
     Raises:
         InputError: The Gaussians cannot be used for this scene.

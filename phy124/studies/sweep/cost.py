@@ -20,7 +20,7 @@ from phy124.studies.sweep.work import Row, make_static
 TRIED = 8
 """Maximum number of clips from which the sweep is forecast."""
 NUMBERS = 10
-"""How many numbers a clip stores per Gaussian and frame, for position, rotation and scale."""
+"""Number of values that a clip stores per Gaussian and frame: position, rotation and scale."""
 
 
 class Expected(NamedTuple):
