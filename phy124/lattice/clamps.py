@@ -106,9 +106,7 @@ class Clamp:
 
 
 class PassedOn:
-    """Prepares the kernel launches that add contact impulses on clamped nodes to the clamps'
-    sums.
-    """
+    """Prepares kernel launches that add contact impulses on clamped nodes to the clamps' sums."""
 
     def __init__(
         self,

@@ -202,9 +202,7 @@ class Recorder:
         return phases
 
     def _update_with(self, wall: Stage) -> Recorded | None:
-        """Return one kernel launch for both the grid update and a wall; None if that is
-        impossible.
-        """
+        """Return one kernel launch for the grid update and a wall; None if impossible."""
         if wall.with_update is None or len(self.grids) > 1 or not self._grid.apart:
             return None
         launch = wall.with_update(self._grid)

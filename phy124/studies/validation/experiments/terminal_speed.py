@@ -30,7 +30,8 @@ def way(time: float) -> float:
 def publish() -> tuple[Quantity, ...]:
     """Return the exact displacements and the final velocity."""
     ways = [
-        Quantity.within(f"displacement at t = {time:g} / rate [m]", way(time), 0.002, time) for time in TIMES
+        Quantity.within(f"displacement at t = {time:g} / rate [m]", way(time), 0.002, time)
+        for time in TIMES
     ]
     speed = LIMIT * (1 - math.exp(-TIMES[-1]))
     return (*ways, Quantity.within("speed at the end [m/s]", speed, 0.002, TIMES[-1]))
