@@ -161,6 +161,17 @@ def test_faster_softening_than_unloading_drops_to_the_residual(E):
     assert h[0, 0] > 0.3
 
 
+@pytest.mark.parametrize("index", [0.5, 1.0])
+def test_foam_in_steady_shear_has_the_stated_stress(index):
+    rate, dt, F, h = 2.0, 1e-3, EYE[None], np.zeros((1, 2))
+    material = Foam(E=1e6, yield_stress=200.0, viscosity=50.0, flow_index=index)
+    turn = EYE + dt * rate * np.outer(EYE[0], EYE[1])
+    for _ in range(100):
+        F, h = evaluate(material, turn @ F, h=h, dt=dt)[3:]
+    excess = evaluate(material, F, h=h).stress[0, 0, 1] - material.yield_stress / np.sqrt(3)
+    assert excess == pytest.approx(2 ** (-(1 + index) / 2) * 50.0 * rate**index, rel=1e-3)
+
+
 def test_foam_relaxes_at_its_rate():
     """Bingham (n = 1): the excess decays as exp(-2 mu t / eta)."""
     material = Foam(flow_index=1.0, viscosity=1e3, yield_stress=100.0)

@@ -419,13 +419,15 @@ def test_the_watchdog_writes_nothing_of_the_state():
         np.testing.assert_array_equal(np.asarray(array), np.asarray(before[name]), name)
 
 
-@pytest.mark.parametrize(("packed", "noted"), [(-0.7, True), (-0.5, False)])
-def test_snow_denser_than_ice_is_noted(packed, noted):
-    solver, watch = followed(material=Snow(density=400))
+@pytest.mark.parametrize(
+    ("density", "packed", "noted"), [(400, -0.7, True), (400, -0.5, False), (1000, -0.7, False)]
+)
+def test_snow_packed_beyond_the_density_of_ice_is_noted(density, packed, noted):
+    solver, watch = followed(material=Snow(density=density))
     history = solver.state.history.numpy()
     history[: len(history) // 2, 0] = packed
     solver.state.history.assign(history)
-    assert ("50% of the snow" in " ".join(watch.notes())) == noted
+    assert ("of the snow is packed" in " ".join(watch.notes())) == noted
 
 
 def test_the_note_reaches_the_command_line_and_the_page(tmp_path, capsys):

@@ -160,8 +160,16 @@ class Snow(Elastic):
 
     @staticmethod
     def notes_on(density: NDArray, history: NDArray) -> list[str]:
-        """Return a note if much of the snow is packed beyond the density of ice."""
-        share = float((density > ICE * (1 + history[:, 0])).mean())
+        """Return a note if much of the snow is packed beyond the density of ice.
+
+        Snow that is denser than ice at rest is not packed.
+
+        Args:
+            density: Densities at rest [P], kg/m^3.
+            history: History variables [P,2].
+        """
+        packed = (density <= ICE) & (density > ICE * (1 + history[:, 0]))
+        share = float(packed.mean())
         if share < DENSE:
             return []
         return [

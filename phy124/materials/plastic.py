@@ -124,7 +124,10 @@ class Foam(Logarithmic):
     yield_stress: float = Field(default=200.0, ge=0, le=1e12)
     """Uniaxial yield stress [Pa]; if it is 0, the foam always flows."""
     viscosity: float = Field(default=50.0, ge=1e-6, le=1e9)
-    """Consistency of the flow [Pa s^n]."""
+    """Consistency of the flow [Pa s^n]. In shear at the rate r, the stress exceeds that of slow
+    flow by 2^(-(1 + n)/2) viscosity r^n. For n = 1, this is the stress of a fluid of half the
+    viscosity.
+    """
     flow_index: float = Field(default=0.7, ge=0.2, le=1)
     """Flow index n: 1 for a Bingham fluid, less than 1 for shear thinning."""
 

@@ -82,9 +82,11 @@ class Balance(TypedDict):
     momentum balance was not computed.
     """
     min_J: float
-    """Smallest volume ratio J of all particles."""
+    """Smallest elastic volume ratio J of all particles. The permanent change of the volume of snow
+    and sand, which pack and loosen, is not part of J.
+    """
     max_J: float
-    """Largest volume ratio J of all particles."""
+    """Largest elastic volume ratio J of all particles."""
     inside_out: int
     """Number of inverted particles."""
     reset: int

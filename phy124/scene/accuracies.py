@@ -18,8 +18,9 @@ class Accuracy(Section):
     cells: int = Field(default=32, ge=4, le=256)
     """Number of grid cells across the longest side of the object."""
     particles_per_axis: float | None = Field(default=None, ge=1, le=4, examples=[2.0])
-    """Particles per cell and axis inside the object. If absent: 2 for elastic materials and fluids,
-    1.5 for plastic and granular materials.
+    """Particles per cell and axis inside the object. If absent: 2 for elastic materials, fluids and
+    plasticine, 1.5 for other plastic and granular materials. Materials of the scene determine the
+    number, and materials from a file of properties do not.
     """
     cfl: float = Field(default=0.75, ge=0.01, le=0.9)
     """Length of a substep as a fraction of the stable limit."""
