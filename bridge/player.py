@@ -72,8 +72,8 @@ class Player:
             raise InputError("clip", f"{len(self.times)} frames", limit, "Simulate it again.")
         self.loop, self.paused, self.rate = loop, paused, _checked_rate(rate)
         self.speed, self.lateness = checked_speed(speed), lateness
-        self.shown = self.dropped = self.skipped = self.loops = 0
-        """Numbers of frames shown, frames dropped as late, frames skipped for `rate`, and loops."""
+        self.shown = self.dropped = self.skipped = 0
+        """Numbers of frames shown, frames dropped as late, and frames skipped for `rate`."""
         self.finished = False
         self._next = 0
         self._peek = True  # whether to show the next frame even while paused
@@ -242,7 +242,6 @@ class Player:
         # Whole loops that passed during a long delay are counted as dropped.
         missed = max(int((now - again) * self.speed // period), 0)
         self.dropped += missed * len(self.times)
-        self.loops += 1 + missed
         self._stamp = self._offset + last + missed * period
         self._splice(first)
         self._next = 0

@@ -38,8 +38,6 @@ READY = {
 """Title and example picture of each preset whose finished result `make_previews` creates."""
 UNITS = {"size": "pixels", "cells": "cells across the object"}
 """Units of the limited numbers whose name is not the unit."""
-PUSHES = {"gravity": "g", "acceleration": "a"}
-"""Forces that the page's direction pad changes, each with the field that the pad sets."""
 LONGEST, LONGER = 20_000, 200
 """Largest length of a scene as text [characters], and the increase of this limit for each frame: a
 scene from a live run contains the position of the hand in each frame.

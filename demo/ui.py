@@ -18,7 +18,6 @@ from .settings import Settings
 from .visitors import Visitors
 from .zerogpu import work_on_gpu
 
-FOLDER = Path(__file__).parent
 STYLE = '<link rel="stylesheet" href="phy124/static/page.css">'
 QUIET: dict[str, Any] = {
     "queue": False,

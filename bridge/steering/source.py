@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -24,7 +23,6 @@ if TYPE_CHECKING:
     from phy124.scene import Scene
 
 CLIP = ".safetensors"
-log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)

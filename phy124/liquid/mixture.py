@@ -27,8 +27,6 @@ class Mixture:
         """Mean density of the liquids [kg/m^3]."""
         self.viscosity = float(viscosities.max())
         """Largest viscosity of the liquids [Pa s]."""
-        self.lightest = float((mass / volume).min())
-        """Smallest density of a liquid [kg/m^3]."""
         self.differ = [_differ(mass / volume), _differ(viscosities)]
         """Whether the densities differ, and whether the viscosities differ."""
         each = mass / self.density, volume * viscosities / max(self.viscosity, 1e-300)

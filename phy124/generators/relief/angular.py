@@ -13,7 +13,6 @@ from phy124.generators.relief.outlines import outline_of, solidity
 from phy124.generators.relief.robust import fit_most
 
 Field = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 ROUGH = 1.5
 """Largest distance of the outline from straight edges [pixels]."""
 SHORTEST = 20.0

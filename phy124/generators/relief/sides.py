@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from phy124.errors import InputError
 
-Field = NDArray[np.float64]
 Solid = NDArray[np.bool_]
 UNLIKE = 0.5
 """Smallest overlap (IoU) of the front's silhouette with the mirrored silhouette from behind."""

@@ -14,7 +14,7 @@ from phy124.kernels.build import build_once, kernel
 from phy124.kernels.elastic import safe_volume
 from phy124.kernels.transfer import slope, spline
 
-PER_CELL, ROWS = 8, 9
+PER_CELL = 8
 
 
 @wp.func

@@ -28,7 +28,6 @@ DRIVEN, PRESSED, RUBBED = 0, 1, 2
 """Offsets among these three sums: work by the wall's motion, by normal impulses, and by tangential
 impulses. The last two are computed with the velocity relative to the wall.
 """
-COUNT = 17
 
 
 @build_once

@@ -26,7 +26,6 @@ AT_DRAG, AT_PRESSURE, AT_END = 3, 5, 7
 This work is computed with the velocities of the walls. The next index (such as `AT_DRAG + 1`) is
 the same work, computed with the velocities of the liquid.
 """
-COUNT = 9
 
 
 @build_once

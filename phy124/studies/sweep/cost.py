@@ -119,7 +119,7 @@ class Remaining:
         """Prepare the estimate for the clips with the indices `numbers`; `clock` returns the
         present time [s], as in the column `written` of the manifest.
         """
-        self._plan, self._numbers, self._clock = plan, numbers, clock
+        self._plan, self._clock = plan, clock
         self._start: float | None = None
         self._last = -1
         self._moments = np.zeros(5)

@@ -14,7 +14,7 @@ from phy124.io.files import replacing
 from phy124.runtime.installation import install_command
 from phy124.studies.validation.experiments.experiment import Estimate, Outcome
 
-BLUE, GREY, ORANGE, GREEN = "#2563a8", "#9aa3ad", "#c2571a", "#2c8a4b"
+BLUE, ORANGE, GREEN = "#2563a8", "#c2571a", "#2c8a4b"
 SHADES = ("#c9d8ea", "#8fb0d6", "#5a8bc2")
 """Colours of the grids, from coarse to fine."""
 
