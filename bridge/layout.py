@@ -24,10 +24,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from phy124.errors import InputError
 from phy124.gaussians import Frame, Gaussians
 from phy124.io.ply import raw_table
-from phy124.runtime.installation import install_command
+from phy124.runtime.installation import needs_extra
 
 from .cdr import ENCAPSULATION, NANO
 
@@ -106,11 +105,9 @@ def require_draco() -> None:
     Raises:
         InputError: DracoPy is not installed.
     """
-    try:
+    limit = "Draco needs the package DracoPy, which is not installed."
+    with needs_extra("draco", "draco", "DracoPy", limit):
         import DracoPy  # noqa: F401
-    except ImportError as error:
-        limit = "Draco needs the package DracoPy, which is not installed."
-        raise InputError("draco", "DracoPy", limit, f"Run `{install_command('draco')}`.") from error
 
 
 def points(frame: Frame, profile: Profile) -> NDArray[Any]:

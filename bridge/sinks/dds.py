@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 from phy124.errors import InputError
 from phy124.gaussians import Frame
-from phy124.runtime.installation import install_command
+from phy124.runtime.installation import needs_extra
 
 from ..cdr import ENCAPSULATION, encode
 from ..delivery import Delivery, wait_for_topics
@@ -242,12 +242,10 @@ def require_cyclonedds() -> None:
     Raises:
         InputError: cyclonedds is not installed.
     """
-    try:
+    limit = "Publishing without ROS 2 needs the package cyclonedds, which is not installed."
+    more = "; it exists for x86-64 Linux, Windows and macOS"
+    with needs_extra("dds", "backend", "dds", limit, more):
         import cyclonedds.domain  # noqa: F401
-    except ImportError as error:
-        limit = "Publishing without ROS 2 needs the package cyclonedds, which is not installed."
-        remedy = f"Run `{install_command('dds')}`; it exists for x86-64 Linux, Windows and macOS."
-        raise InputError("backend", "dds", limit, remedy) from error
 
 
 def _domain(domain: int, discovery: Discovery) -> Any:

@@ -13,7 +13,7 @@ from typing import Any
 
 from phy124.errors import InputError
 from phy124.gaussians import Frame
-from phy124.runtime.installation import install_command
+from phy124.runtime.installation import needs_extra
 
 from ..bag import ENCODING
 from ..cdr import NANO
@@ -269,9 +269,6 @@ def require_foxglove() -> None:
     Raises:
         InputError: foxglove-sdk is not installed.
     """
-    try:
+    limit = "Serving Foxglove needs the package foxglove-sdk, which is not installed."
+    with needs_extra("foxglove", "backend", "foxglove", limit):
         import foxglove  # noqa: F401
-    except ImportError as error:
-        limit = "Serving Foxglove needs the package foxglove-sdk, which is not installed."
-        remedy = f"Run `{install_command('foxglove')}`."
-        raise InputError("backend", "foxglove", limit, remedy) from error

@@ -19,7 +19,7 @@ from typing import IO, Any, Literal
 from phy124.errors import SHORT_CODES, Incomplete, InputError
 from phy124.gaussians import Frame
 from phy124.io.files import move_to, sweep_parts, writable
-from phy124.runtime.installation import install_command
+from phy124.runtime.installation import needs_extra
 
 from .. import PROGRAM, bag
 from ..encoder import FrameEncoder
@@ -278,9 +278,6 @@ def require_mcap() -> None:
     Raises:
         InputError: mcap is not installed.
     """
-    try:
+    limit = "Recordings need the package mcap, which is not installed."
+    with needs_extra("bridge", "recording", "mcap", limit):
         import mcap.writer  # noqa: F401
-    except ImportError as error:
-        limit = "Recordings need the package mcap, which is not installed."
-        remedy = f"Run `{install_command('bridge')}`."
-        raise InputError("recording", "mcap", limit, remedy) from error

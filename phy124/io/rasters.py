@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from phy124.errors import InputError
 from phy124.io.files import replacing
-from phy124.runtime.installation import install_command
+from phy124.runtime.installation import needs_extra
 
 Raster = NDArray[np.float32]
 LARGEST = 65535
@@ -78,9 +78,6 @@ def load_exr() -> Any:
     Raises:
         InputError: If the package is missing.
     """
-    try:
+    with needs_extra("exr", "view.output_format", "exr", "this needs the package OpenEXR."):
         import OpenEXR
-    except ImportError as error:
-        limit, remedy = "this needs the package OpenEXR.", f"Run `{install_command('exr')}`."
-        raise InputError("view.output_format", "exr", limit, remedy) from error
     return OpenEXR

@@ -17,7 +17,7 @@ from PIL import Image
 
 from phy124.errors import InputError
 from phy124.metrics.pictures import to_unit
-from phy124.runtime.installation import install_command
+from phy124.runtime.installation import needs_extra
 from phy124.weights.store import require
 
 MODEL = "laion/CLIP-ViT-B-32-laion2B-s34B-b79K"
@@ -110,15 +110,9 @@ def _pixels(image: NDArray, size: int, order: Order) -> NDArray[np.float32]:
 
 
 def _load(model: str) -> Any:
-    try:
+    limit = "transformers is needed to run CLIP and is not installed."
+    with needs_extra("eval", "clip-model", model, limit):
         from transformers import CLIPVisionModelWithProjection
-    except ImportError as error:
-        raise InputError(
-            "clip-model",
-            model,
-            "transformers is needed to run CLIP and is not installed.",
-            f"Run `{install_command('eval')}`.",
-        ) from error
     source: str | os.PathLike[str] = model
     if model == MODEL:
         source = require("clip")["model.safetensors"].parent

@@ -4,8 +4,13 @@ import re
 import shlex
 import shutil
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
+from typing import Any
+
+from phy124.errors import InputError
 
 PACKAGE = "phy124"
 MADE = ("bridge", "dds", "foxglove")
@@ -27,6 +32,24 @@ def install_command(extra: str) -> str:
         return "make bridge" if root == Path.cwd() else f"make -C {shlex.quote(str(root))} bridge"
     folder = "." if root == Path.cwd() else str(root)
     return f"{_pip()} --editable {shlex.quote(f'{folder}[{extra}]')}"
+
+
+@contextmanager
+def needs_extra(extra: str, field: str, value: Any, limit: str, more: str = "") -> Iterator[None]:
+    """Turn an ImportError into an InputError whose remedy is to install an optional extra.
+
+    Args:
+        extra: Name of the extra in pyproject.toml.
+        field: Field of the InputError.
+        value: Value of the field.
+        limit: Sentence that names the missing package.
+        more: End of the remedy, after the command that installs the extra.
+    """
+    try:
+        yield
+    except ImportError as error:
+        remedy = f"Run `{install_command(extra)}`{more}."
+        raise InputError(field, value, limit, remedy) from error
 
 
 def program() -> str:

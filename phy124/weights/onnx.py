@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from phy124.errors import InputError
 from phy124.io.opening import obstacle
 from phy124.runtime.cores import physical_cores
-from phy124.runtime.installation import install_command
+from phy124.runtime.installation import needs_extra
 from phy124.weights.catalogue import About
 
 if TYPE_CHECKING:
@@ -79,12 +79,9 @@ class OnnxNetwork:
 def _open(path: Path, folds: bool) -> InferenceSession:
     if hindrance := obstacle(path):
         raise InputError("weights", path, hindrance[0], "Run `phy124 weights` to list all weights.")
-    try:
+    limit = "it needs the package onnxruntime, which is not installed."
+    with needs_extra("onnx", "weights", path, limit):
         import onnxruntime
-    except ImportError as error:
-        limit = "it needs the package onnxruntime, which is not installed."
-        remedy = f"Run `{install_command('onnx')}`."
-        raise InputError("weights", path, limit, remedy) from error
     options = onnxruntime.SessionOptions()
     # only errors are shown, because warnings about the graph are not useful
     options.log_severity_level = 3

@@ -16,7 +16,7 @@ from typing import Literal, cast
 from phy124.errors import InputError
 from phy124.io.files import writable
 from phy124.progress import Progress, silent
-from phy124.runtime.installation import install_command
+from phy124.runtime.installation import needs_extra
 from phy124.weights.catalogue import ABOUT, KNOWN, WeightFile
 
 Verdict = Literal["match", "differs", "unknown", "unchecked", "missing"]
@@ -238,16 +238,10 @@ def _download(
     file: WeightFile, folder: Path | None, endpoint: str | None
 ) -> tuple[Path, str | None]:
     """Return the path of the file, and the sha256 if the server states it."""
-    try:
+    limit = "the library huggingface_hub is not installed."
+    with needs_extra("onnx", "weights", file.repo, limit):
         from huggingface_hub import get_hf_file_metadata, hf_hub_download, hf_hub_url
         from huggingface_hub.utils import HfHubHTTPError
-    except ImportError as error:
-        raise InputError(
-            "weights",
-            file.repo,
-            "the library huggingface_hub is not installed.",
-            f"Run `{install_command('onnx')}`.",
-        ) from error
     target = None if folder is None else folder / file.repo.rpartition("/")[2]
     # HfHubHTTPError is derived from the error of an HTTP client, which depends on the release.
     failures = cast("tuple[type[Exception], ...]", (OSError, *HfHubHTTPError.__bases__))

@@ -18,14 +18,13 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phy124.errors import InputError
 from phy124.gaussians import Frame, Gaussians
 from phy124.io.axes import orientation, rotate_gaussians
 from phy124.io.clip import Clip
 from phy124.io.content import Y_UP
 from phy124.io.files import replacing
 from phy124.progress import Progress, silent
-from phy124.runtime.installation import install_command
+from phy124.runtime.installation import needs_extra
 
 PROFILE = "fine"
 KEYFRAME = 8
@@ -79,7 +78,7 @@ def write_fourdgs(
 
 
 def _library() -> Any:
-    try:
+    with needs_extra("fourdgs", "format", "4dgs", "this needs the package fourdgs, 0.6."):
         from fourdgs import (
             keyframe_delta_file,
             keyframe_delta_writer,
@@ -88,12 +87,6 @@ def _library() -> Any:
             records,
             serialization,
         )
-    except ImportError as error:
-        limit, remedy = (
-            "this needs the package fourdgs, 0.6.",
-            f"Run `{install_command('fourdgs')}`.",
-        )
-        raise InputError("format", "4dgs", limit, remedy) from error
     return SimpleNamespace(
         Grids=keyframe_delta_file.Grids,
         writer=keyframe_delta_writer,

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phy124.errors import InputError
-from phy124.runtime.installation import install_command
+from phy124.runtime.installation import needs_extra
 from phy124.studies.sweep.keys import Seen
 from phy124.studies.sweep.plan import Item
 from phy124.studies.sweep.storage import Storage
@@ -202,10 +202,8 @@ def load_arrow() -> tuple[Any, Any]:
     Raises:
         InputError: pyarrow is not installed.
     """
-    try:
+    limit = "tables need the package pyarrow, which is not installed."
+    with needs_extra("sweep", "sweep", MANIFEST, limit):
         import pyarrow
         from pyarrow import parquet
-    except ImportError as error:
-        limit = "tables need the package pyarrow, which is not installed."
-        raise InputError("sweep", MANIFEST, limit, f"Run `{install_command('sweep')}`.") from error
     return pyarrow, parquet

@@ -16,7 +16,7 @@ from typing import Any
 from phy124.errors import Cancelled, InputError
 from phy124.runtime.cores import cores
 from phy124.runtime.failures import failure
-from phy124.runtime.installation import install_command
+from phy124.runtime.installation import needs_extra
 from phy124.studies.sweep.work import (
     Made,
     Order,
@@ -133,12 +133,9 @@ class _Tasks:
 
 
 def _ray(address: str | None, workers: int | None) -> Any:
-    try:
+    limit = "sweeps on several workers need the package ray, which is not installed."
+    with needs_extra("sweep", "workers", workers, limit, ", or use --workers 0"):
         import ray
-    except ImportError as error:
-        limit = "sweeps on several workers need the package ray, which is not installed."
-        remedy = f"Run `{install_command('sweep')}`, or use --workers 0."
-        raise InputError("workers", workers, limit, remedy) from error
     _mute(ray)
     quiet: dict[str, Any] = {"logging_level": logging.ERROR, "log_to_driver": False}
     try:
