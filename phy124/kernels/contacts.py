@@ -13,7 +13,7 @@ from phy124.kernels.build import build_once, kernel
 from phy124.kernels.diagnostics import add3, wide
 from phy124.kernels.grid import row_in_copy, row_in_grid
 from phy124.kernels.reduction import lower_to, raise_to
-from phy124.kernels.transfer import first_node, in_window, spline
+from phy124.kernels.transfer import in_window, place_in, spline
 
 
 @build_once
@@ -79,20 +79,17 @@ def make_contacts(real: Any):
     @kernel(f"phy124_contacts_{real.__name__}", real, seconds=0.4)
     def contacts(mass, lattice, box, window, x, changes, lowest: Ints, highest: Ints, impulse_out):
         p = wp.tid()
-        g = (x[p] - wp.vector(lattice[0], lattice[1], lattice[2])) / lattice[3]
-        low = first_node(g)
-        size = window[1]
-        first = low - window[0]
-        if not in_window(first, size):
+        first, f = place_in(x[p], lattice, window)
+        if not in_window(first, window[1]):
             return
         for axis in range(3):
             if first[axis] + 2 < lowest[axis] or first[axis] > highest[axis]:
                 return
         start = first - box[0]
         count = box[1]
-        wx = spline(g[0] - real(low[0]))
-        wy = spline(g[1] - real(low[1]))
-        wz = spline(g[2] - real(low[2]))
+        wx = spline(f[0])
+        wy = spline(f[1])
+        wz = spline(f[2])
         change = t.vec4()
         for i in range(3):
             a = start[0] + i

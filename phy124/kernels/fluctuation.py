@@ -13,7 +13,15 @@ import warp as wp
 
 from phy124.kernels.arguments import types
 from phy124.kernels.build import build_once, kernel
-from phy124.kernels.transfer import GATHERS, SCATTERS, columns4, first_node, in_window, member
+from phy124.kernels.transfer import (
+    GATHERS,
+    SCATTERS,
+    columns4,
+    in_window,
+    member,
+    motion_of,
+    place_in,
+)
 
 
 @build_once
@@ -25,11 +33,8 @@ def make_carry(real: Any, form: str):
     def carry(chosen, mass, lattice, window, x, v, C, grid_out):
         p = member(chosen, wp.tid())
         dx = lattice[3]
-        g = (x[p] - wp.vector(lattice[0], lattice[1], lattice[2])) / dx
-        low = first_node(g)
-        f = wp.vector(g[0] - real(low[0]), g[1] - real(low[1]), g[2] - real(low[2]))
         size = window[1]
-        first = low - window[0]
+        first, f = place_in(x[p], lattice, window)
         if in_window(first, size):
             m = mass[p]
             cx, cy, cz = columns4(m * C[p], dx)
@@ -51,24 +56,14 @@ def make_fluctuation(real: Any, form: str):
     @kernel(f"phy124_fluctuation_{real.__name__}_{form}", real, seconds=0.3)
     def fluctuation(chosen, lattice, window, grid, x, v, C, v_out, C_out):
         p = member(chosen, wp.tid())
-        dx = lattice[3]
-        g = (x[p] - wp.vector(lattice[0], lattice[1], lattice[2])) / dx
-        low = first_node(g)
-        f = wp.vector(g[0] - real(low[0]), g[1] - real(low[1]), g[2] - real(low[2]))
         size = window[1]
-        first = low - window[0]
+        first, f = place_in(x[p], lattice, window)
         dv = t.vec3()
         dC = t.mat33()
         if in_window(first, size):
-            s = collect(grid, size, first, f)
-            mean = wp.vector(s[0, 0], s[0, 1], s[0, 2])
-            k = real(4.0) / dx
+            mean, gradient = motion_of(collect(grid, size, first, f), f, lattice[3])
             dv = v[p] - mean
-            dC = C[p] - k * wp.matrix_from_cols(
-                wp.vector(s[1, 0], s[1, 1], s[1, 2]) - f[0] * mean,
-                wp.vector(s[2, 0], s[2, 1], s[2, 2]) - f[1] * mean,
-                wp.vector(s[3, 0], s[3, 1], s[3, 2]) - f[2] * mean,
-            )
+            dC = C[p] - gradient
         v_out[p] = dv
         C_out[p] = dC
 

@@ -68,6 +68,17 @@ def first_node(g: Any):
 
 
 @wp.func
+def place_in(x: Any, lattice: Any, window: wp.array(dtype=wp.vec3i)):
+    """Return the first node of a particle in the window, and the particle's offset from this node
+    [cells].
+    """
+    g = (x - wp.vector(lattice[0], lattice[1], lattice[2])) / lattice[3]
+    low = first_node(g)
+    node = wp.vector(type(g[0])(low[0]), type(g[0])(low[1]), type(g[0])(low[2]))
+    return low - window[0], g - node
+
+
+@wp.func
 def in_window(first: wp.vec3i, size: wp.vec3i):
     """Return whether all 27 nodes of a particle are inside the window.
 
@@ -277,6 +288,19 @@ def gather_rows(
     ...
 
 
+@wp.func
+def motion_of(s: Any, f: Any, dx: Any):
+    """Return a particle's velocity and velocity gradient, from the rows s that `gather` returns."""
+    v = wp.vector(s[0, 0], s[0, 1], s[0, 2])
+    k = type(dx)(4.0) / dx
+    C = k * wp.matrix_from_cols(
+        wp.vector(s[1, 0], s[1, 1], s[1, 2]) - f[0] * v,
+        wp.vector(s[2, 0], s[2, 1], s[2, 2]) - f[1] * v,
+        wp.vector(s[3, 0], s[3, 1], s[3, 2]) - f[2] * v,
+    )
+    return v, C
+
+
 SCATTERS = {"plain": scatter, "simd": scatter_rows, "spline": scatter}
 GATHERS = {"plain": gather, "simd": gather_rows, "spline": gather}
 """"plain" is scalar code, which GPUs use; "simd" is float32 code for CPUs. "spline" computes stress
@@ -297,11 +321,8 @@ def make_p2g(law: Law, real: Any, form: str):
     def p2g(chosen, mass, volume, theta, lattice, window, clock, x, v, C, F, history, grid_out):
         p = member(chosen, wp.tid())
         dx = lattice[3]
-        g = (x[p] - wp.vector(lattice[0], lattice[1], lattice[2])) / dx
-        low = first_node(g)
-        f = wp.vector(g[0] - real(low[0]), g[1] - real(low[1]), g[2] - real(low[2]))
         size = window[1]
-        first = low - window[0]
+        first, f = place_in(x[p], lattice, window)
         if in_window(first, size):
             h = t.vec2()
             if wp.static(has_history):
@@ -362,20 +383,10 @@ def make_g2p(law: Law, real: Any, form: str):
                 momenta_out[n] = wp.vector(real(0.0), real(0.0), real(0.0), real(0.0))
         p = member(chosen, wp.tid())
         dx = lattice[3]
-        g = (x_out[p] - wp.vector(lattice[0], lattice[1], lattice[2])) / dx
-        low = first_node(g)
-        f = wp.vector(g[0] - real(low[0]), g[1] - real(low[1]), g[2] - real(low[2]))
         size = window[1]
-        first = low - window[0]
+        first, f = place_in(x_out[p], lattice, window)
         if in_window(first, size):
-            s = collect(grid, size, first, f)
-            v = wp.vector(s[0, 0], s[0, 1], s[0, 2])
-            k = real(4.0) / dx
-            C = k * wp.matrix_from_cols(
-                wp.vector(s[1, 0], s[1, 1], s[1, 2]) - f[0] * v,
-                wp.vector(s[2, 0], s[2, 1], s[2, 2]) - f[1] * v,
-                wp.vector(s[3, 0], s[3, 1], s[3, 2]) - f[2] * v,
-            )
+            v, C = motion_of(collect(grid, size, first, f), f, dx)
             dt = clock[1]
             # Kahan's compensated summation; otherwise, rounding in float32 would stop a slow
             # motion.
