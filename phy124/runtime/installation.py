@@ -44,6 +44,9 @@ def needs_extra(extra: str, field: str, value: Any, limit: str, more: str = "") 
         value: Value of the field.
         limit: Sentence that names the missing package.
         more: End of the remedy, after the command that installs the extra.
+
+    Raises:
+        InputError: The body raises an ImportError.
     """
     try:
         yield
