@@ -155,10 +155,10 @@ EXPERIMENT = Experiment(
     title="Hertz: force on a pressed ball, and contact time of a bouncing ball",
     source="finite elements of the whole neo-Hookean ball, which approach Hertz's law (1882) for "
     "small depths (`phy124/studies/validation/experiments/elastic_ball.py`)",
-    measured="The force on the plate at two depths is computed from the plate's impulses. "
-    "The contact time of a bouncing ball is the time in which its velocity changes from half the "
-    "initial speed, downwards, to half the initial speed, upwards. All values are relative to "
-    "Hertz's theory, which treats both bodies as half-spaces with small strain.",
+    measured="The force on the plate at two depths is computed from the plate's impulses. The "
+    "contact time of a bouncing ball begins when its downward speed has fallen to half the initial "
+    "speed, and ends when its upward speed has risen to half the initial speed. All values are "
+    "relative to Hertz's theory, which treats both bodies as half-spaces with small strain.",
     band="forces: ±5 %; time: ±1 %",
     published=publish,
     run=measure,

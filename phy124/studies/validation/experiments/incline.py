@@ -140,7 +140,7 @@ EXPERIMENT = Experiment(
     source="Coulomb's law: the acceleration is g (sin θ − μ cos θ), or zero if the block rests",
     measured="The experiment measures the acceleration of a block on an incline in units of "
     "gravity. In half of the cases, the incline is parallel to a plane of the grid, and gravity is "
-    "tilted. In the other half, the incline is tilted against the grid.",
+    "tilted. In the other half, the incline is tilted relative to the grid.",
     band="±0.002 g, since the block still rocks slightly",
     published=publish,
     run=measure,

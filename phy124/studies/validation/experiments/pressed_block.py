@@ -160,8 +160,8 @@ EXPERIMENT = Experiment(
     source="the neo-Hookean law in closed form; for small strain, it gives Poisson's ratio ν and "
     "the three moduli E, E(1−ν)/(1+ν)(1−2ν) and E/(1−2ν)",
     measured="A block between smooth plates is compressed by 1 % in three ways: with free sides, "
-    "with held sides, and hydrostatically. Strains are measured from the particles, and forces "
-    "from the impulses of a plate.",
+    "with laterally confined sides, and hydrostatically. Strains are measured from the particles, "
+    "and forces from the impulses of a plate.",
     band="±0.5 %",
     published=publish,
     run=measure,

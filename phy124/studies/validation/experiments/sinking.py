@@ -56,8 +56,8 @@ EXPERIMENT = Experiment(
     source="Trouton 1906: a column resists stretching with 3 η; each slice bears the weight above "
     "it",
     measured="A column with a viscosity of 3000 Pa s is twice as high as it is wide, and sinks for "
-    "1 s. The experiment measures by how much the centre of mass sinks, relative to its initial "
-    "height; and the force on the floor in the second half of the time, relative to the weight.",
+    "1 s. The experiment measures the descent of the centre of mass, relative to its initial "
+    "height, and the force on the floor in the second half of the time, relative to the weight.",
     band="±5 %; the theory neglects inertia and the shear stress between slices",
     published=lambda: (
         Quantity.within("loss of height", exact_loss(), 0.05),
