@@ -128,18 +128,18 @@ def summary(rows: list[dict[str, Any]]) -> str:
     """Coverage and width, quiet and loaded."""
     said = []
     for name, some in (
-        ("without loops", [row for row in rows if not row["loops"]]),
-        ("with loops", [row for row in rows if row["loops"]]),
-        ("all", rows),
+        ("Without loops", [row for row in rows if not row["loops"]]),
+        ("With loops", [row for row in rows if row["loops"]]),
+        ("In all", rows),
     ):
         if some:
             within = sum(row["within"] for row in some)
             width = np.median([row["high s"] / max(row["low s"], 0.01) for row in some])
             said.append(
-                f"{name}: {within} of {len(some)} measured times were within the predicted range. "
-                f"The ends of the range differ by a factor of {width:.1f} (median)"
+                f"{name}, {within} of {len(some)} measured times were within the predicted range, "
+                f"whose ends differ by a factor of {width:.1f} (median)."
             )
-    return ".\n".join(said) + "."
+    return " ".join(said)
 
 
 def main(loops: list[int], *, docs: bool) -> None:
