@@ -1,4 +1,4 @@
-"""`phy124 effects` and `warm`: list the effects of a scene, compile the kernels of presets."""
+"""`phy124 effects` and `warm`: list the effects of a scene, and compile the kernels of presets."""
 
 import json
 import time
@@ -26,7 +26,7 @@ class ShowEffects:
     """Print only JSON."""
 
     def run(self) -> int:
-        """Print the effects that are computed and left out."""
+        """Print the effects that are computed, and those that are omitted."""
         effects = Effects.of(Scene.named(self.scene), device=pick_device(self.device))
         if self.json:
             print(json.dumps(effects.data()))

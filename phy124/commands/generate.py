@@ -352,7 +352,7 @@ def show(result: pipeline.Result, study: str, *, as_json: bool) -> int:
 
 
 def print_files(result: pipeline.Result) -> None:
-    """Print the names of the files, and the PSNR of the composed first frame inside the object."""
+    """Print the names of the files, and the PSNR between the first frame and the photograph."""
     if composed := result.report.get("compose"):
         print(f"first frame and photograph, inside the object: PSNR {composed['psnr']:.1f} dB")
     for path in result.files:

@@ -1,7 +1,7 @@
 """Moves particles outside the grid; only the uniform acceleration acts on these particles.
 
 A particle that is outside the grid during the scatter is hidden from the gather. Otherwise, a
-particle that enters the grid between scatter and gather would be moved twice.
+particle that crosses the window's edge during the gather would be moved twice.
 """
 
 from typing import Any
