@@ -276,7 +276,7 @@ def scatter_rows(
     column_y: wp.vec4,
     column_z: wp.vec4,
 ):
-    """Scatter as `scatter` does, in float32 with vector instructions of a CPU."""
+    """Version of `scatter` in float32, with vector instructions of a CPU."""
     ...
 
 
@@ -284,7 +284,7 @@ def scatter_rows(
 def gather_rows(
     grid: wp.array(dtype=wp.vec4), size: wp.vec3i, first: wp.vec3i, f: wp.vec3
 ) -> wp.mat44:
-    """Gather as `gather` does, in float32 with vector instructions of a CPU."""
+    """Version of `gather` in float32, with vector instructions of a CPU."""
     ...
 
 

@@ -68,7 +68,7 @@ for kinds in (types(wp.float32), types(wp.float64)):
 
 @build_once
 def make_push_sums_v(real: Any):
-    """Kernel: does the same as `make_push_sums`, for forces that do not change C."""
+    """Kernel: version of `make_push_sums` for forces that do not change C."""
 
     @kernel(f"phy124_push_sums_v_{real.__name__}", real)
     def push_sums_v(first, each, stride, mass, v, v_kept, exchange_out):

@@ -62,13 +62,13 @@ def strike(
 
 @wp.func_native(code("rows", "rows:moved"))
 def moved_rows(values: Vectors, nodes: Nodes, weights: Weights, s: int) -> wp.vec3:
-    """Return the same as `moved_by`, with vector instructions of a CPU."""
+    """Version of `moved_by` with vector instructions of a CPU."""
     ...
 
 
 @wp.func_native(code("rows", "rows:yielding"))
 def yielding_rows(inverse: Numbers, nodes: Nodes, weights: Weights, s: int) -> wp.float32:
-    """Return the same as `yielding`, with vector instructions of a CPU."""
+    """Version of `yielding` with vector instructions of a CPU."""
     ...
 
 
@@ -76,7 +76,7 @@ def yielding_rows(inverse: Numbers, nodes: Nodes, weights: Weights, s: int) -> w
 def strike_rows(
     v: Vectors, inverse: Numbers, nodes: Nodes, weights: Weights, s: int, impulse: wp.vec3
 ):
-    """Apply an impulse as `strike` does, with vector instructions of a CPU."""
+    """Version of `strike` with vector instructions of a CPU."""
     ...
 
 

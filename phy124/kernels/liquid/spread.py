@@ -88,7 +88,7 @@ def around_rows(
     row: int,
     layer: int,
 ) -> wp.mat44:
-    """Return the same as `around`, with vector instructions of a CPU."""
+    """Version of `around` with vector instructions of a CPU."""
     ...
 
 

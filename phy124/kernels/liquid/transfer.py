@@ -204,7 +204,7 @@ def scatter_rows(
     column_y: wp.vec4,
     column_z: wp.vec4,
 ):
-    """Do the same as `scatter`, with vector instructions of a CPU."""
+    """Version of `scatter` with vector instructions of a CPU."""
     ...
 
 
@@ -212,7 +212,7 @@ def scatter_rows(
 def scatter_volume_rows(
     fills: wp.array(dtype=wp.vec2), size: wp.vec3i, first: int, t: wp.vec3, volume: wp.float32
 ):
-    """Do the same as `scatter_volume`, with vector instructions of a CPU."""
+    """Version of `scatter_volume` with vector instructions of a CPU."""
     ...
 
 
@@ -220,13 +220,13 @@ def scatter_volume_rows(
 def gather_rows(
     velocity: wp.array(dtype=wp.vec4), size: wp.vec3i, first: int, t: wp.vec3
 ) -> wp.mat44:
-    """Return the same as `gather`, with vector instructions of a CPU."""
+    """Version of `gather` with vector instructions of a CPU."""
     ...
 
 
 @wp.func_native(code("liquid", "liquid:rows", "liquid:flow"))
 def flow_rows(velocity: wp.array(dtype=wp.vec4), size: wp.vec3i, first: int, t: wp.vec3) -> wp.vec3:
-    """Return the same as `flow`, with vector instructions of a CPU."""
+    """Version of `flow` with vector instructions of a CPU."""
     ...
 
 

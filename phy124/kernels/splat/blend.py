@@ -105,7 +105,7 @@ STORE_TILE = code("tile:store")
 blend_tiles_simd = native_kernel(
     "phy124_blend_simd", SUM_TILE + STORE_TILE, name="blend_tiles_simd"
 )(blend_tiles.func)
-"""Does the same as `blend_tiles`, with vector instructions of a CPU."""
+"""Version of `blend_tiles` with vector instructions of a CPU."""
 
 
 @kernel("phy124_gather", types=DRAWN)
@@ -134,4 +134,4 @@ def gather_pixels(view, first, values, starts, ends, pairs, splats, sums_out, we
 gather_tiles_simd = native_kernel(
     "phy124_gather_simd", OPEN_TILE + code("tile:gather", "tile:splats"), name="gather_tiles_simd"
 )(gather_pixels.func)
-"""Does the same as `gather_pixels`, tile by tile on a CPU, since tiles share splats."""
+"""Version of `gather_pixels` for CPUs; it runs tile by tile, since tiles share splats."""

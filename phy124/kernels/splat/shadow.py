@@ -123,6 +123,6 @@ cover_simd = native_kernel(
     + code("shadow"),
     name="cover_simd",
 )(cover.func)
-"""Does the same as `cover`, with vector instructions of a CPU, for maps of at least sixteen cells.
+"""Version of `cover` with vector instructions of a CPU, for maps of at least sixteen cells.
 tests/test_stage_shadow.py compares both versions.
 """

@@ -163,4 +163,4 @@ def blend_staged_simd(
 tint_splats_simd = native_kernel(
     "phy124_stage_simd", VEIL + code("stage:tint"), name="tint_splats_simd"
 )(tint_splats.func)
-"""Does the same as `tint_splats`, with vector instructions of a CPU."""
+"""Version of `tint_splats` with vector instructions of a CPU."""
