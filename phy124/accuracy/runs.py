@@ -1,4 +1,4 @@
-"""Runs a scene on different grids, and knows which runs stopped early or tore the material."""
+"""Runs a scene on different grids, and records which runs stopped early or tore the material."""
 
 import time
 from collections.abc import Callable
@@ -22,7 +22,7 @@ DENSEST = 4.0
 
 @dataclass
 class Runs:
-    """The runs of a scene on different grids, which differ only in their accuracy."""
+    """The runs of a scene on different grids; the runs differ only in accuracy."""
 
     gaussians: Gaussians
     scene: Scene

@@ -1,8 +1,8 @@
 """Predicts the time of a substep, stage by stage.
 
-Many stages, such as contact, take longer in motion than at rest. Their calls and durations are
-therefore measured in a pilot run of the whole motion, and compared with those of the pilot's first
-substeps, at rest. The duration of a call at rest is measured on the final grid, too.
+Many stages, such as contact, take longer in motion than at rest. The number and the duration of
+their calls are therefore measured in a pilot run: over the whole motion, and in the first substeps,
+at rest. The duration of a call at rest is measured on the final grid, too.
 """
 
 from collections.abc import Mapping

@@ -113,7 +113,7 @@ class Boundary(Section):
 
     @property
     def tracked(self) -> bool:
-        """Whether the boundary has a track, which is a table of its displacement over time.
+        """Whether the boundary has a track: a table of the boundary's displacement over time.
 
         A boundary needs a track if it moves or stops acting.
         """

@@ -192,7 +192,7 @@ def count_substeps(scene: Scene) -> int:
 
 
 def count_particles(scene: Scene, gaussians: int = GAUSSIANS) -> int:
-    """Estimate the number of particles, including those of the interior."""
+    """Estimate the number of particles, including the particles that fill the interior."""
     fillings = [FILLED * (body.size / scene.spacing) ** 3 for body in scene.every_object]
     bound = gaussians if scene.binding == "particles" else 0
     return round(sum(filling + bound for filling in fillings))
@@ -217,8 +217,8 @@ def largest_speed(scene: Scene) -> float:
     """Estimate the largest speed of objects and walls [m/s].
 
     The speed of an object is its initial speed, plus the speeds due to impulses, plus the
-    accelerations multiplied by their duration, which counts up to `ACCELERATED` [s]. Wind causes at
-    most its own speed.
+    accelerations multiplied by their duration (at most `ACCELERATED` [s]). Wind causes at most its
+    own speed.
     """
     speed = max(
         math.hypot(*body.velocity) + math.hypot(*body.spin) * body.size / 2

@@ -1,4 +1,4 @@
-"""Lists the physical and numerical effects that a scene includes and those that it omits.
+"""Lists the physical and numerical effects that a scene includes, and the effects that it omits.
 
 An omitted effect is not compiled, has no arrays and launches no kernels.
 """
@@ -29,7 +29,7 @@ DENSE = 100**3
 
 @dataclass(frozen=True)
 class Effects:
-    """The effects that a run computes, and those that it omits."""
+    """The effects that a run computes, and the effects that it omits."""
 
     ran: tuple[str, ...]
     left_out: tuple[Effect, ...]
@@ -46,7 +46,7 @@ class Effects:
         observers: Sequence[Observer] = (),
         no_lattice: str | None = None,
     ) -> Effects:
-        """Return the effects that a run computes, and those that it omits.
+        """Return the effects that a run computes, and the effects that it omits.
 
         Args:
             scene: The scene.
@@ -143,9 +143,8 @@ def _of_liquid(scene: Scene) -> Iterator[Effect]:
 def _of_materials(scene: Scene, materials: Sequence[AnyMaterial]) -> Iterator[Effect]:
     """Yield the effects of the materials.
 
-    Each cost is the difference between the times of two kernels. These are kernels with and without
-    viscosity, G2P for metal and for an elastic law, and kernels for one law per particle and for a
-    single law.
+    Each cost is the difference between the times of two kernels: with and without viscosity; G2P
+    for metal and for an elastic law; and for one law per particle and for a single law.
     """
     if scene.projects:
         yield from _of_liquid(scene)

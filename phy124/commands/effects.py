@@ -26,7 +26,7 @@ class ShowEffects:
     """Print only JSON."""
 
     def run(self) -> int:
-        """Print the effects that are computed, and those that are omitted."""
+        """Print the computed effects and the omitted effects."""
         effects = Effects.of(Scene.named(self.scene), device=pick_device(self.device))
         if self.json:
             print(json.dumps(effects.data()))

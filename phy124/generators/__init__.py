@@ -77,7 +77,7 @@ def is_present(name: str) -> bool:
 
 
 def list_names() -> list[str]:
-    """Return the names of all generators, including those of other packages."""
+    """Return the names of all generators, including generators of other packages."""
     return [*GENERATORS, *(name for name in list_plugins("generators") if name not in GENERATORS)]
 
 

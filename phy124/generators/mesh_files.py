@@ -1,4 +1,4 @@
-"""Loads the geometries of a mesh file with trimesh, and notes what is missing or ignored."""
+"""Loads the geometries of a mesh file with trimesh, and lists missing and ignored parts."""
 
 from __future__ import annotations
 

@@ -104,7 +104,8 @@ def effort_of(generator: Any) -> Effort | None:
 def speed_of(device: str, dtype: Any) -> Work:
     """Measure how many floating-point operations of each kind torch performs per second.
 
-    The measured arrays are as large as those of the networks; the measurement takes about a second.
+    The arrays of the measurement are as large as in the networks; the measurement takes about a
+    second.
     """
     import torch
     from torch.nn import functional as F

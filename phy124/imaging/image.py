@@ -137,8 +137,8 @@ def normalise(
 def recenter(image: NDArray, mask: NDArray, *, border_ratio: float = 0.2) -> NDArray:
     """Centre the object, which is marked by a mask, in a square image.
 
-    Every pixel of the result equals that of LGM's program (Tang et al. 2024, kiui `recenter`). As
-    in LGM, the bounding box does not include the last row and column, and numbers are truncated to
+    Every pixel is equal to the result of LGM's program (Tang et al. 2024, kiui `recenter`). As in
+    LGM, the bounding box does not include the last row and column, and numbers are truncated to
     integers.
 
     Args:

@@ -30,7 +30,7 @@ BINS = (6, 16, 16)
 
 
 class Neck(NamedTuple):
-    """The narrowest place of a silhouette between two parts."""
+    """The narrowest cross-section of a silhouette between two parts."""
 
     width: float
     """Width of the neck, relative to the width of the thinner part."""

@@ -1,4 +1,4 @@
-"""Converts the axes of a file to those of phy124, and rotates Gaussians.
+"""Converts the axes of a file to the axes of phy124, and rotates Gaussians.
 
 In the world of phy124, z is up and the object faces +x (docs/reference/conventions.md).
 """
@@ -36,7 +36,7 @@ def orientation(
     dialect: str | None = None,
     rotate: str | None = None,
 ) -> NDArray[np.float64]:
-    """Return the rotation [3,3] from the file's axes to those of phy124.
+    """Return the rotation [3,3] from the file's axes to the axes of phy124.
 
     Args:
         up: Direction that points up: "x", "-y", ..., or three numbers such as "0.1,-1,0.2".

@@ -1,10 +1,10 @@
 """Reads and writes 3DGS PLY files, which store log scales and opacity logits.
 
-The layout is that of Kerbl et al. 2023, "3D Gaussian Splatting": one element `vertex`, whose
+The layout follows Kerbl et al. 2023, "3D Gaussian Splatting": one element `vertex`, whose
 properties are identified by their names. Colours are spherical harmonics; the coefficients `f_rest`
 are first all red, then all green, then all blue. The axes are x right, y down, z into the image.
-Their conversion to those of phy124 is exact, so writing and then reading a file changes values only
-by the rounding of log and logit.
+The conversion to the axes of phy124 is exact, so writing and then reading a file changes values
+only by the rounding of log and logit.
 
 Columns of other training programs are applied if they change the Gaussians. A note lists unknown
 columns, because they might also change the Gaussians.

@@ -218,9 +218,9 @@ def make_pair(real: Any):
     """Kernel over the common nodes of two bodies: applies equal and opposite impulses to them.
 
     `low` is the first common node. `fill` is the volume fraction per mass of each body. `yields` is
-    1 for a body that can move and 0 for a body that never moves. A sticky pair has one velocity at
-    each node at which both bodies have mass. `sums_out` sums the impulses of the first body on the
-    second, and their moments about the origin of the world.
+    1 for a body that can move and 0 for a body that never moves. The bodies of a sticky pair have
+    the same velocity at each node at which both have mass. `sums_out` sums the impulses of the
+    first body on the second, and their moments about the origin of the world.
     """
     t = types(real)
 

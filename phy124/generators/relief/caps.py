@@ -47,7 +47,7 @@ class Plane:
         return np.where(bevelled, outline, flat), bevelled
 
     def normals(self, columns: Field, z: Field) -> Field:
-        """Return unit normals before projection [N,3]; the arguments are those of `rows`."""
+        """Return unit normals before projection [N,3]; the arguments are as in `rows`."""
         tilt = np.where(
             self.rows(columns, z)[1], 0.0, -self.level / self.view.distance / self.view.k(z) ** 2
         )

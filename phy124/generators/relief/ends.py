@@ -111,7 +111,7 @@ def continue_silhouette(rgba: Field, padding: int) -> Continued:
 
 
 def stands(solid: NDArray[np.bool_]) -> bool:
-    """Whether the outline is that of an upright cylinder.
+    """Whether the outline belongs to an upright cylinder.
 
     Such an outline has arcs at the top and the bottom. The arcs of a lying cylinder are at the left
     and right.

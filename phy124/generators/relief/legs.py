@@ -1,8 +1,8 @@
-"""Finds the legs and wheels of objects seen from the side, and puts them on both sides.
+"""Finds the legs and wheels of objects seen from the side, and duplicates them on both sides.
 
 The object is symmetric about the image plane, so legs and wheels are in pairs on both sides of the
 plane. The arch is the largest gap between the parts on the ground. A wide arch separates the
-forelegs from the hind legs. A pointed arch separates two single legs, such as those of a bird.
+forelegs from the hind legs. A pointed arch separates two single legs, such as a bird's legs.
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ class Legs:
 
     @property
     def trunk(self) -> Continued:
-        """The image of the body alone."""
+        """The image of the body without the legs."""
         alpha = np.where(self.body, self.rgba[..., 3], 0.0)
         return Continued(np.dstack([self.rgba[..., :3], alpha]), alpha, ())
 

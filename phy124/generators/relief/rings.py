@@ -75,9 +75,7 @@ class Ring:
         return self.camera.pixels(points).reshape(len(AROUND), len(SECTION), 2)
 
     def edges(self) -> Field:
-        """Return half the width, the top and the bottom of the outline, then those of the hole
-        [6].
-        """
+        """Return half the width, the top and the bottom of the outline, then of the hole [6]."""
         column, row = np.moveaxis(self.image(), 2, 0)
         across = np.linspace(0, column.max(), len(AROUND))
         quarter = len(AROUND) // 4

@@ -151,7 +151,7 @@ def _inflated_shell(
     """Inflate the silhouette to a shell that the front camera sees.
 
     If the image has a fifth channel, this channel is the depth map. If the object has legs, the
-    image shows the body alone.
+    image shows the body without the legs.
     """
     view = View.of(work.object_mask if legs is None else legs.object_mask, VIEW_DISTANCE * WORK)
     shoulder = find_shoulder(work)
@@ -300,8 +300,8 @@ def _turn(elevation: float) -> Field:
 
 
 def _reach_behind(surface: Surface, slab: bool, flat: bool) -> float:
-    """Return the depth behind the rim [pixels] over which the colours change gradually to those of
-    the back; 0 for a card.
+    """Return the depth behind the rim [pixels] over which the colours change gradually to the
+    back's colours; 0 for a card.
     """
     deepest = float(np.sqrt(max(surface.w.max(), 0.0)))
     if slab and deepest <= CARD * WORK:
@@ -329,8 +329,8 @@ def _points(
     rng: np.random.Generator,
     alive: Callable[[], None],
 ) -> tuple[Field, Field, Field, list[Cap]]:
-    """Return points, normals and spacing (first those of the walls, then those of the caps), and
-    the caps themselves.
+    """Return points, normals and spacing (first of the walls, then of the caps), and the caps
+    themselves.
     """
     points, normals, spacing, pitch = spread(surface, work.ends, count, rng, alive)
     caps = [make_cap(surface, view, end, work.object_mask, pitch) for end in work.ends]

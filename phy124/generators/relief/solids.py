@@ -201,7 +201,7 @@ def is_turned(object_mask: NDArray[np.bool_]) -> bool:
 
 
 def is_block(picture: Continued) -> bool:
-    """Whether a symmetric outline is that of an angular object, such as a printer.
+    """Whether a symmetric outline belongs to an angular object, such as a printer.
 
     Objects with arcs at both ends are cylinders, and therefore not angular. Convex objects that end
     in a tip, such as shields and clothes, count as angular.

@@ -113,7 +113,9 @@ class Wings:
     """Whether front and back look alike."""
 
     def flatten(self, half: Field) -> Field:
-        """Limit squared half thicknesses [H,W] to those of the sheets and the body."""
+        """Limit squared half thicknesses [H,W] to the half thicknesses of the sheets and the
+        body.
+        """
         y, x = np.mgrid[: half.shape[0], : half.shape[1]]
         away = (x - self.axis[0]) * np.cos(self.lean) + (y - self.axis[1]) * np.sin(self.lean)
         bulge = (BODY - SHEET) * np.exp(-((away / (BODY * self.size)) ** 2))

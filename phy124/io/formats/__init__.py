@@ -305,7 +305,7 @@ def read_as_is(path: str | os.PathLike[str]) -> Content:
 def rotation_of(
     content: Content, up: str | None, front: str | None, dialect: str | None, rotate: str | None
 ) -> NDArray[np.float64]:
-    """Return the rotation [3,3] from the axes of a file to those of phy124.
+    """Return the rotation [3,3] from the axes of a file to the axes of phy124.
 
     Args:
         content: Content of the file.

@@ -4,8 +4,8 @@ The format is the open container of 4dgs.dev, version 1, model `keyframe-delta`.
 library (package fourdgs, Apache-2.0) encodes the records. Its function `write_sequence` would keep
 all frames in memory, so this module writes the frames one by one. The declared error bound is 2 %
 of the first frame's median scale for positions, 0.5 % for scales, 0.0005 for rotations, and 0.5 /
-255 for colours and opacities. Colours are of degree 0. The axes are those of glTF: y
-up, z to the front, metres.
+255 for colours and opacities. Colours are of degree 0. The axes and the unit are as in glTF: y up,
+z to the front, metres.
 """
 
 import os

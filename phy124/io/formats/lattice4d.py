@@ -1,10 +1,10 @@
 """Writes a clip as one small file: the first frame as SOG, and the motion of a coarse lattice.
 
 The displacement of a Gaussian is interpolated trilinearly from the eight nodes around it. The
-displacements of the nodes are fitted to those of the Gaussians by least squares. A Gaussian whose
-error would exceed `TOLERANCE` times the object's size gets an extra shift in each frame. The file
-states the remaining error of each Gaussian. Layout, little endian, with offsets from the start of
-the file:
+displacements of the nodes are fitted to the displacements of the Gaussians by least squares. A
+Gaussian whose error would exceed `TOLERANCE` times the object's size gets an extra shift in each
+frame. The file states the remaining error of each Gaussian. Layout, little endian, with offsets
+from the start of the file:
 
     bytes          content
     0 to 7         "PHY4D" 0 1 0
@@ -22,7 +22,7 @@ the file:
                    compressed by zlib
 
 Each frame can be decoded alone, so a reader can request only a range of bytes. docs/guide/p4d.md
-describes readers in Python and JavaScript. The axes are those of SOG: -y up, -z to the front.
+describes readers in Python and JavaScript. The axes are as in SOG: -y up, -z to the front.
 """
 
 from __future__ import annotations

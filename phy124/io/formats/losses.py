@@ -19,7 +19,7 @@ REMEDY = "ply"
 
 
 def describe_losses(path: Path, written: Gaussians, format: Format) -> list[str]:
-    """Return a sentence if the Gaussians in a file differ visibly from those that were written.
+    """Return a sentence if the Gaussians in a file differ visibly from the original Gaussians.
 
     Args:
         path: The file.

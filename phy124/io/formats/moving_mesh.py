@@ -2,9 +2,9 @@
 
 The mesh is the surface of the first frame, or a textured mesh from the user. Each vertex moves by
 the rigid motion that best fits the motion of the nearest Gaussians (Kabsch 1976). The weights of
-the morph targets change linearly, so at most two targets are active. The axes are those of glTF (y
-up, z to the front, metres). The topology is constant. For objects that tear or flow, write a mesh
-of each frame instead (`phy124/io/formats/mesh.py`).
+the morph targets change linearly, so at most two targets are active. The axes and the unit are as
+in glTF (y up, z to the front, metres). The topology is constant. For objects that tear or flow,
+write a mesh of each frame instead (`phy124/io/formats/mesh.py`).
 """
 
 import json

@@ -1,7 +1,7 @@
 """Writes OpenUSD: a clip is one animated prim, ParticleField3DGaussianSplat (OpenUSD 26.03).
 
 Apart from `.4dgs`, this is the only open format that stores moving Gaussians in a single file.
-Units and axes are those of phy124 (metres, z up). Opacities and scales are linear.
+Units and axes are as in phy124 (metres, z up). Opacities and scales are linear.
 """
 
 import os

@@ -201,8 +201,8 @@ def make_body_change(real: Any):
 def make_body_gather(real: Any):
     """Kernel: computes the rates of change of v and C of a body's particles due to the pressure.
 
-    Momentum and angular momentum of the particles change as much as those of the cells. `most_out`
-    is the largest acceleration [m/s^2].
+    The particles receive the same momentum and angular momentum as the cells. `most_out` is the
+    largest acceleration [m/s^2].
     """
     t = types(real)
 

@@ -90,7 +90,7 @@ def entry(active: wp.array(dtype=int), ends: wp.array(dtype=int), worker: int, k
 
 @build_once
 def make_sum_copies(real: Any, width: int):
-    """Kernel over active cells: adds the sums of all other workers to those of the first worker.
+    """Kernel over active cells: adds the sums of all other workers to the first worker's sums.
 
     The sums are added in a fixed order, so the result depends only on the number of workers.
     """

@@ -1,8 +1,8 @@
 """Represents a particle body immersed in a liquid as a wall of the same shape.
 
 The distance from a body follows from the fraction of each cell that the body fills (as in
-`surface`). This rounds off edges, so the surface is shifted outwards until it encloses the body's
-volume.
+`surface`). A surface from these fractions has rounded edges, so the surface is shifted outwards
+until it encloses the body's volume.
 """
 
 from typing import Any

@@ -155,7 +155,7 @@ def capsule_hit(solid: Solid, origin: wp.vec3, ray: wp.vec3) -> Hit:
 
 @wp.func
 def veil(solid: Solid, origin: wp.vec3, ray: wp.vec3, limit: float, pixel: float) -> float:
-    """Return the opacity of a solid in front of a surface, which the ray meets at `limit`."""
+    """Return a solid's opacity along a ray up to `limit`, where the ray meets a surface."""
     hit = Hit()
     if solid.radius > 0.0:
         hit = capsule_hit(solid, origin, ray)

@@ -40,7 +40,7 @@ from phy124.weights.store import require
 
 @dataclass(frozen=True)
 class Settings:
-    """Settings of the optimisation; the defaults are those of DreamGaussian's image.yaml.
+    """Settings of the optimisation; the defaults are from DreamGaussian's image.yaml.
 
     The known view shows the input image. The guided views show the object from other directions; a
     diffusion model rates them.

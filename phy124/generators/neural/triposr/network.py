@@ -31,7 +31,7 @@ The network was trained with version 4.35 of transformers, which adds this numbe
 
 @dataclass(frozen=True)
 class Sizes:
-    """Sizes of the network; the defaults are those of the public checkpoint."""
+    """Sizes of the network; the defaults are the sizes of the public checkpoint."""
 
     patch: int = 16
     """Side of the image patches [pixels]."""
