@@ -92,7 +92,7 @@ def read_video(path: Path, out: Path, seconds: float, speed: float, deadline: De
 
 
 def _read_video(path: Path, out: Path, seconds: float, speed: float, processor: float) -> Seen:
-    """Decode a video within limits that the decoder inherits, even if this process is killed."""
+    """Decode a video; a limit on CPU time ends the decoder even if this process is killed."""
     if resource is not None:
         most = math.ceil(processor) + 1
         resource.setrlimit(resource.RLIMIT_CPU, (most, most))

@@ -191,7 +191,7 @@ def pins(
 def slots_at(
     nodes: NDArray[np.int64], clamps: Sequence[tuple[int, NDArray[np.int64]]], device: str
 ) -> wp.array:
-    """Return the tracks of the clamps that contain each node [K,L]; -1 means no clamp.
+    """Return the indices of the motions (tracks) of the clamps at each node [K,L]; -1: no clamp.
 
     Each item of `clamps` contains the track and the nodes of a clamp.
     """

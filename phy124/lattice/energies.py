@@ -80,7 +80,7 @@ class Energies(Kept):
             self._pools[at.VISCOUS] = crew.new_pool()
 
     def attach(self, tracks: Tracks, walls: Walls, meetings: Meetings, free: Solids) -> None:
-        """Let contact sum its work; call this before the launches of contact are recorded again.
+        """Sum the work of contact; call this before contact's kernel launches are recorded again.
 
         Args:
             tracks: The tracks of the run, with the clock.

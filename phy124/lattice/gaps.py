@@ -1,4 +1,4 @@
-"""Finds the distances at which surfaces hold points that touch them at the start."""
+"""Computes contact distances of points that touch a surface at the start."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -253,7 +253,8 @@ class Meeting:
         self._fill(a, {**pairs, **partners})
 
     def _overlap(self, a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Return how deep pieces of a body overlap at rest, for each pair of points [K], m.
+        """Return the depth by which pieces of a body overlap at rest, for each pair of points [K],
+        m.
 
         Surfaces are only as exact as voxels, so they may overlap at rest. Contact does not push
         such surfaces apart.

@@ -177,7 +177,7 @@ class Limits(Kept):
         self._walls.list_near(self._travel + max(2 * WAY * self._dx, self._ahead()), self._step())
 
     def _ahead(self) -> float:
-        """Return how far [m] a point may approach a wall until the next measurement."""
+        """Return the largest approach [m] of a point to a wall before the next measurement."""
         step = self._step()
         # The walls are still at their positions of the previous substep.
         return (self._clock.interval + 1) * step if math.isfinite(step) else 0.0

@@ -129,7 +129,7 @@ class Meetings(Kept):
             self._slack = 0.0
 
     def forget(self, body: int) -> None:
-        """Begin the contact of a body with others again, after the body has been moved."""
+        """Reset the contact of a body with other bodies, after the body has been moved."""
         self.way = math.inf
         for meeting in self.of_pairs:
             if body in meeting.bodies:

@@ -82,8 +82,8 @@ class Partners:
 
         The result contains the indices `a` of the points and `b` of the partners [M], the direction
         `normal` from partner to point [M,3], the distance `gap` [M], m, and `back` [M,3,3]. The
-        matrices `back` convert displacements of the partner along the surface to the body at rest.
-        If `between` is true, the points belong to two bodies.
+        matrices `back` convert displacements of the partner along the surface to displacements on
+        the surface at rest. If `between` is true, the points belong to two bodies.
         """
         results, count = self._results, len(points)
         self._learn(points)

@@ -118,14 +118,14 @@ class Solids(FreeBodies):
         self._list(turn=not earlier)
 
     def put(self, index: int, motion: Sequence[Any]) -> None:
-        """Set the motion of a solid, as `FreeBodies.put` does, and begin its contact again."""
+        """Set the motion of a solid, as `FreeBodies.put` does, and reset its contact."""
         super().put(index, motion)
         for touch in self._touches:
             if touch.solid == index:
                 touch.forget()
 
     def forget(self, body: int) -> None:
-        """Begin the contact of a body with all solids again, after the body has been moved."""
+        """Reset the contact of a body with all solids, after the body has been moved."""
         for touch in self._touches:
             if touch.body == body:
                 touch.forget()
@@ -239,7 +239,7 @@ class _Touch(Kept):
         self._launches.append(cast("wp.Launch", launch))
 
     def forget(self) -> None:
-        """Begin the contact with all points again."""
+        """Reset the contact with all points."""
         self.force.zero_()
         self.space.fill_(-math.inf)
 

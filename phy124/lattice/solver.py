@@ -1,7 +1,7 @@
 """LatticeSolver: explicit substeps of elastic bodies on lattices of their shapes at rest.
 
-Points serve only for integration. The points' x, v, C and F are computed from the nodes before
-forces on particles act, when limits are measured, and at the end of `advance`.
+The particles (points) serve only as integration points. The points' x, v, C and F are computed from
+the nodes before forces on particles act, when limits are measured, and at the end of `advance`.
 """
 
 import math
@@ -305,7 +305,7 @@ class LatticeSolver(Kept):
     def carry_nodes(
         self, carry: Callable[[NDArray, NDArray], tuple[NDArray, NDArray]], body: int = 0
     ) -> None:
-        """Set positions and velocities of a body's nodes, and begin its contact again.
+        """Set positions and velocities of a body's nodes, and reset the body's contact.
 
         `carry` computes the new positions and velocities [N,3] from the current ones.
         """

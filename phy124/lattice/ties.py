@@ -4,8 +4,9 @@ The motion of a tied node is extrapolated from heavier nodes. The transpose of t
 distributes the tied node's force and mass over these nodes, so that momentum and angular momentum
 are conserved. The extrapolation is exact for linear functions.
 
-A node's mass is compared with the mass of an inner node of the same density. Otherwise, all nodes
-of a material 1000 times lighter than the rest of the body would be tied.
+A node's mass is compared with the mass of a node deep inside a body whose density equals the local
+density. Otherwise, all nodes of a material 1000 times lighter than the rest of the body would be
+tied.
 """
 
 import numpy as np
@@ -134,7 +135,8 @@ def _tie(
     of at least `giving`. Nodes in a common cell with the light node are preferred, because other
     nodes may belong to another part of the body, such as a leaf near a stem. If the heavy nodes
     nearby do not determine the motion and `far` is true, heavy nodes up to a distance of `FAR` are
-    used. `whole` is the mass of an inner node of the same density. All masses are in kg [N].
+    used. `whole` is the mass of a node deep inside a body with the local density. All masses are in
+    kg [N].
     """
     count, thin = len(index), mass < THIN * whole
     light, heavy = np.flatnonzero(mass < least), np.flatnonzero(mass >= giving)

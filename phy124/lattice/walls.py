@@ -248,7 +248,7 @@ class Walls:
         return max(0.0, float(depth[deepest])), int(inside[deepest]), touching
 
     def forget(self, body: int) -> None:
-        """Begin the contact of a body with all walls again, after the body has been moved."""
+        """Reset the contact of a body with all walls, after the body has been moved."""
         for contact in self._contacts:
             contact.forget(body)
 
@@ -334,7 +334,7 @@ class _Contact(Kept):
         self._measure(self._count)
 
     def forget(self, body: int) -> None:
-        """Begin the contact with the points of a body again."""
+        """Reset the contact with the points of a body."""
         force, space = self.force.numpy().copy(), self.space.numpy().copy()
         mine = self._body == body
         force[mine], space[mine] = 0, -math.inf

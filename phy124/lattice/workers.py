@@ -33,7 +33,7 @@ class Worker:
     maxima: wp.array
     """Largest speed and strain rate of the worker's points."""
     reach: Any = None
-    """What forces on points reach (`Reach`); None before forces are known."""
+    """Cells, points and nodes that forces reach (`Reach`); None before forces are known."""
     phases: list[list[Named]] = field(default_factory=list)
     """Kernel launches of a substep, for each phase; threads wait for each other between phases."""
     tasks: dict[int, list[Named]] = field(default_factory=dict)

@@ -138,7 +138,7 @@ class Inputs:
             del self.pushes[number]
 
     def count_acting(self, now: float, besides: int | None) -> int:
-        """Return how many pushes act after `now` [s], without the push of the number `besides`."""
+        """Return the number of pushes that act after `now` [s], except the push `besides`."""
         numbers = [number for number in self._acting if number in self.pushes]
         return sum(_acts_after(self.pushes[n], now) for n in numbers if n != besides)
 

@@ -13,7 +13,7 @@ DEEP = 0.5
 
 
 class LatticeCrossing(Observer):
-    """Measures how deep points are in a wall."""
+    """Measures the depths of points inside walls."""
 
     kept = ("_deepest", "_between")
 
@@ -34,7 +34,7 @@ class LatticeCrossing(Observer):
         return inner
 
     def after_attempt(self) -> Violation | None:
-        """Measure how deep points are inside walls; a large depth is not treated as an error."""
+        """Measure the depths of points inside walls; a large depth is not treated as an error."""
         depth, inside = self._solver.walls.depth()
         if depth > max(DEEP, self._deepest):
             pinched, first, second = self._solver.pinch()

@@ -57,8 +57,8 @@ class PoolDissipation(LiquidDissipation):
     def false_gain(self) -> float:
         """Return the energy [J] that the exchange between liquid and bodies has created.
 
-        Where a light body rises, displacements that restore the density fill its wake. The work on
-        the body then comes from the liquid's potential energy.
+        A rising light body leaves a wake, which the displacements that restore the density fill.
+        The work on the body then comes from the liquid's potential energy.
         """
         projection = self._projection()
         return max(0.0, min(-projection, -projection - self._energies.read().density))

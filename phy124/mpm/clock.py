@@ -107,7 +107,8 @@ class Clock(Kept):
         return self._limits[1]
 
     def lag(self, power: float, momentum: NDArray) -> float:
-        """Return the kinetic energy at the positions' time minus that at the velocities' time [J].
+        """Return the kinetic energy at the time of positions minus that at the time of velocities
+        [J].
 
         `power` is the power of the stress [W]; the momentum is not used here.
         """

@@ -118,7 +118,7 @@ class FreeBody(NamedTuple):
         return measure_depth(self.shape, self.geometry(), local)
 
     def reach(self, direction: Vector3) -> float:
-        """Return how far the solid extends from its centre along a unit vector [m]."""
+        """Return the extent of the solid from its centre along a unit vector [m]."""
         half, along = np.array(self.half), np.abs(direction @ self.axes)
         radius = 0.0 if self.shape == "box" else min(self.half)
         return float(radius + along @ (half - radius))

@@ -109,7 +109,7 @@ def find_pieces(
 def find_copies(
     pieces: Pieces, cell: NDArray, place: NDArray, volume: NDArray
 ) -> NDArray[np.int8] | None:
-    """Return which copies of its 27 nodes each piece uses [E,27]; None if no node has copies.
+    """Return the copies of its 27 nodes that each piece uses [E,27]; None if no node has copies.
 
     Args:
         pieces: The E pieces.

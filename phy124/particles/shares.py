@@ -65,7 +65,7 @@ class _Pieces(NamedTuple):
 def divide_cells(
     points: Particles, solid: Solid, cell: NDArray[np.int64], parts: Parts, dx: float
 ) -> Particles:
-    """Return the points with the index of their part as material, and with shared cells repeated.
+    """Return the points with their part as material; repeat the cells that several parts share.
 
     Args:
         points: The integration points of the solid.
@@ -148,7 +148,7 @@ def _pieces(solid: Solid, parts: Parts) -> _Pieces:
 
 
 def _at_borders(index: NDArray[np.int64], part: NDArray) -> NDArray[np.bool_]:
-    """Return which voxels have neighbours of another part [V]."""
+    """Return a mask of the voxels with neighbours that belong to another part [V]."""
     shape = index.max(axis=0) + 1
     low, high = np.full(shape, part.max(initial=0)), np.full(shape, part.min(initial=0))
     low[tuple(index.T)] = high[tuple(index.T)] = part

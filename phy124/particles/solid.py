@@ -108,8 +108,8 @@ class Solid:
         return scipy.ndimage.map_coordinates(self.fraction, at.T, order=1) > 0.5
 
     def thin(self, points: NDArray, width: float) -> Mask:
-        """Return which points [M,3], m, are outside the solid or in parts thinner than
-        `width` [m].
+        """Return a mask of the points [M,3], m, outside the solid or in parts thinner than `width`
+        [m].
         """
         radius = max(1, round(0.5 * (width / self.voxel - 1)))
         if 2 * radius >= min(self.fraction.shape):

@@ -149,7 +149,7 @@ _samples: WeakKeyDictionary[Clip, Sample] = WeakKeyDictionary()
 
 
 def _reach_of_discs(clip: Clip) -> Values:
-    """Return how far discs of a liquid extend beyond its Gaussians [N], m; 0 elsewhere."""
+    """Return the extent of a liquid's discs beyond its Gaussians [N], m; 0 for other Gaussians."""
     reach = np.zeros(len(clip.opacities))
     cell = float(clip.report.get("grid", {}).get("dx", 0.0))
     for first, last in (clip.report.get("shine") or {}).get("fluid", ()):

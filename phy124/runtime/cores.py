@@ -59,7 +59,7 @@ def refuse_threads(threads: int | None) -> None:
 
 
 def _others_running() -> int:
-    """Return how many threads of other programs are running; 0 if the number is unknown."""
+    """Return the number of running threads of other programs; 0 if the number is unknown."""
     counts = []
     for _ in range(5):
         try:

@@ -1,4 +1,4 @@
-"""Measures how long each stage of a run takes."""
+"""Measures the duration of each stage of a run."""
 
 import threading
 import time

@@ -142,7 +142,7 @@ KNOWN: dict[str, tuple[WeightFile, ...]] = {
 
 @dataclass(frozen=True)
 class About:
-    """What a set of weights is used for."""
+    """The purpose of a set of weights."""
 
     brings: str
     megabytes: int

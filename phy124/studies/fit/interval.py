@@ -62,7 +62,7 @@ def bootstrap(
 
 
 def _draw(groups: Groups, kinds: Sequence[Kind], count: int, random: np.random.Generator) -> Values:
-    """Return how often each bootstrap sample contains each group [DRAWS,G]."""
+    """Return the number of times that each bootstrap sample contains each group [DRAWS,G]."""
     taken = np.zeros((DRAWS, count))
     for kind in kinds:
         members = np.unique(groups[kind.place])

@@ -102,7 +102,7 @@ def drop(inside: Inside, setting: Setting, solver: str, options: dict[str, Any])
 
 
 def check_depth(inside: Inside, lift: float, accuracy: str, setting: Setting, solver: str) -> Check:
-    """Check how deep a shape's Gaussians sink below the floor [cells].
+    """Check the depth to which a shape's Gaussians sink below the floor [cells].
 
     Args:
         inside: The shape.
@@ -119,7 +119,7 @@ def check_depth(inside: Inside, lift: float, accuracy: str, setting: Setting, so
 
 
 def depth_in_body(inside: Inside, accuracy: str, setting: Setting, solver: str) -> float:
-    """Return how deep a shape's Gaussians sink into a cushion of the same material [cells].
+    """Return the depth to which a shape's Gaussians sink into a cushion of its material [cells].
 
     Depths are measured in the undeformed cushion, so that a dent is not counted as penetration.
 
