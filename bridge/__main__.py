@@ -21,7 +21,7 @@ SIGINT.
 # Only light modules are imported above, because Ctrl-C shows a traceback until `importing` runs.
 @contextmanager
 def importing(status: int, text: str = "") -> Iterator[None]:
-    """Within this context, let Ctrl-C and SIGTERM end the process with a status and a text.
+    """Within this context, let Ctrl-C and SIGTERM end the process with a status and a message.
 
     A KeyboardInterrupt could be lost, because some libraries catch it while they are imported.
     """

@@ -210,7 +210,7 @@ class _Lattices(Kept):
 
 
 def copy_points(points: State, state: State, index: NDArray[np.int64]) -> None:
-    """Copy the state of lattices' points to that of all particles, at the indices `index`."""
+    """Copy the state of the lattices' points into the state of all particles, at `index`."""
     copies = [(getattr(state, name), getattr(points, name)) for name in STATE]
     if len(state.total):
         copies.append((state.total, points.F))

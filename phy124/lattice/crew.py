@@ -156,7 +156,7 @@ class Crew:
         return [("clear", clear), *launches([self._push(worker, pushes)]), *stress]
 
     def press(self, pushes: wp.array, turns: wp.array) -> None:
-        """Replace the lasting forces on nodes.
+        """Replace the forces that act on nodes until the next call.
 
         The forces give the points the accelerations `pushes` [P,3], m/s^2, with the moments `turns`
         [P,3,3] (see `make_press`).
@@ -172,7 +172,7 @@ class Crew:
             wp.launch(kernel, count, inputs=inputs, outputs=[part], device=model.device)
 
     def lasting_forces(self) -> list[Any]:
-        """Return the arguments of `force_on` (kernels/lattice/nodes.py) for the lasting forces."""
+        """Return the arguments of `force_on` (kernels/lattice/nodes.py) for the stored forces."""
         return [self.lasting, self._spans, self._push_donors]
 
     def trial(self, worker: Worker, u: wp.array, out: wp.array) -> list[Named]:

@@ -5,7 +5,7 @@ from collections.abc import Hashable, Sequence
 
 
 def find_equal(before: Sequence[Hashable], after: Sequence[Hashable]) -> list[tuple[int, int]]:
-    """Return the places of equal keys in two lists; repeated keys are matched in their order."""
+    """Return the indices of equal keys in two lists; repeated keys are matched in order."""
     places = defaultdict(list)
     for place, key in enumerate(before):
         places[key].append(place)

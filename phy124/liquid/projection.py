@@ -48,7 +48,7 @@ class Projection:
 
     @property
     def every(self) -> int:
-        """Number of iterations between two checks."""
+        """Number of iterations between two checks of the residual."""
         return 1 if self._model.device == "cpu" else CHECK
 
     def list_cells(

@@ -1,8 +1,8 @@
 """External work: sums impulse and work of forces and walls on the object in every substep.
 
-A constant uniform acceleration `a` contributes the impulse `M a dt` and the work `M a . dx`,
-without a launch. If the acceleration varies in time, a single-thread kernel adds its impulse and
-work, computed from the momentum, at the end of each substep. In runs with a projected liquid,
+A constant uniform acceleration `a` contributes the impulse `M a dt` and the work `M a . dx`, which
+need no kernel launch. If the acceleration varies in time, a single-thread kernel adds its impulse
+and work, computed from the momentum, at the end of each substep. In runs with a projected liquid,
 `phy124.monitor.liquid_work` adds them instead.
 """
 

@@ -227,6 +227,6 @@ class ImmersedDissipation(PoolDissipation):
 
 
 def without_liquids(subject: Subject) -> Subject:
-    """Return the properties of the run without liquids."""
+    """Return the properties of a run, without the materials that are liquids."""
     solid = [section for section in subject.materials if section.device_law.name != "fluid"]
     return subject._replace(materials=solid)

@@ -1,6 +1,6 @@
 """Grid: nodes in a window that follows the particles.
 
-Each body has a separate grid. All grids have common node positions.
+Each body has a separate grid. The nodes of all grids are at common positions.
 """
 
 from collections.abc import Iterator, Sequence
@@ -125,7 +125,7 @@ class Grid:
 
     @property
     def changes(self) -> wp.array:
-        """Change of each node's velocity by the wall that acts; zero before a wall acts."""
+        """Change of each node's velocity by the current wall; zero before a wall has acted."""
         if self._changes is None:
             self._changes = wp.zeros_like(self.nodes)
         return self._changes

@@ -205,7 +205,7 @@ class _Voxels:
 
 
 def _voxelise(gaussians: Gaussians) -> _Voxels:
-    """Return the finest grid on which samples are connected; if there is none, the finest grid."""
+    """Return the finest grid on which samples are connected, or else the finest grid of all."""
     # Every Gaussian has at least one sample; half of the samples remain for large Gaussians.
     gaussians = gaussians.select(slice(None, None, math.ceil(2 * len(gaussians) / MAX_SAMPLES)))
     extent = _extent(gaussians)

@@ -311,7 +311,7 @@ def _cut_edges(faces: _Faces, near: _Near) -> Cubes:
 
 
 def _share_below(points: Array, normal: Array, top: Array) -> Array:
-    """Return the fractions [V,P] of the parts around points [V,P,3] below planes."""
+    """Return the fractions [V,P] of the parts, with centres at `points` [V,P,3], below planes."""
     extent = np.abs(normal).sum(axis=1)[:, None] / PARTS
     return np.clip(0.5 + (top - np.einsum("vpi,vi->vp", points, normal)) / extent, 0, 1)
 
