@@ -66,9 +66,9 @@ def test_removing_a_busy_visitor_stops_its_work(visitors, tmp_path):
 def test_silence_is_forgiven_for_a_time_of_grace(tmp_path):
     visitors = Visitors(tmp_path, Room(grace=900))
     visitor = _with_result(visitors.get("a"))
-    visitor.seen -= 890
+    visitor.seen -= 800
     visitors.sweep()
-    assert visitors.find("a") is visitor and visitor.silence < 1, "a look is a sign of life"
+    assert visitors.find("a") is visitor and visitor.silence < 60, "a look is a sign of life"
     visitor.seen -= 910
     visitors.sweep()
     assert visitors.find("a") is None and _folders(tmp_path) == set()
@@ -121,7 +121,7 @@ def test_asking_for_a_job_is_a_sign_of_life(visitors):
     visitor, job = visitors.get("a"), Job("run", Path("stop"))
     visitor.remember(job)
     visitor.seen -= 500
-    assert visitors.job(job.name) is job and visitor.silence < 1
+    assert visitors.job(job.name) is job and visitor.silence < 60
     assert visitors.job("unknown") is None
 
 

@@ -57,6 +57,7 @@ def test_axe_finds_nothing_in_any_state(browser, server, tmp_path, look):
     if "dark" in look:
         page.goto(f"{server.url}?__theme=dark")
         page.wait_for_selector("#scene .card")
+    page.wait_for_selector("#go[aria-disabled=true]")
     results = {"empty": _violations(page)}
     (tmp_path / "text.png").write_text("this is no picture")
     page.locator("#photo input[type=file]").set_input_files(tmp_path / "text.png")
