@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from threading import Lock
 from types import SimpleNamespace
 from typing import Any
 
@@ -14,7 +15,7 @@ from demo.line import Job
 from demo.settings import Settings
 from demo.source import Choice, Cutout
 from demo.visitors import UNUSED, Visitors
-from demo.work import DEVICE, Done, gaussians_of, made_gaussians
+from demo.work import Done, gaussians_of, made_gaussians
 from demo.work.order import folders
 from phy124.errors import InputError
 from phy124.imaging.painted import WHOLE, crop_of
@@ -27,7 +28,9 @@ TEDDY, DUCK = (Path(__file__).parents[1] / f"demo/examples/{n}.png" for n in ("t
 
 
 @pytest.fixture
-def studio(tmp_path) -> Studio:
+def studio(tmp_path, monkeypatch) -> Studio:
+    # A run of another test may still hold the device.
+    monkeypatch.setattr("demo.jobs.DEVICE", Lock())
     return Studio(Settings(gaussians=1000), Visitors(tmp_path))
 
 
@@ -222,8 +225,6 @@ def test_a_trial_run_has_the_threads_and_masks_of_the_run(studio, sources, monke
     choice, scene = Choice("a", sources[0], Scene.named("drop").data()), Scene.named("drop")
     order = studio._order(choice, scene)
     gaussians_of(order, made_gaussians(order))
-    with DEVICE:  # a run of another test may still hold it
-        pass
     studio.refine(choice)
     with Image.open(sources[0].path) as cutout:
         assert trials[0][4] == crop_of(cutout) != WHOLE

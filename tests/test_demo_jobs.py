@@ -33,7 +33,9 @@ DUCK = Path(__file__).parents[1] / "demo/examples/duck.png"
 
 
 @pytest.fixture
-def studio(tmp_path) -> Studio:
+def studio(tmp_path, monkeypatch) -> Studio:
+    # A run of another test may still hold the device.
+    monkeypatch.setattr("demo.jobs.DEVICE", threading.Lock())
     return Studio(Settings(), Visitors(tmp_path))
 
 

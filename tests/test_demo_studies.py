@@ -21,6 +21,7 @@ from phy124.monitor.tearing import Tearing
 from phy124.particles.thickness import Proportions
 from phy124.scene import Scene
 from support.orders import small_order
+from support.processes import until
 
 pytestmark = pytest.mark.usefixtures("coarse_solids")
 
@@ -95,7 +96,8 @@ def test_a_study_is_stopped_in_the_middle_of_a_grid(study):
     many.stop.touch()
     with pytest.raises(Cancelled):
         list(events)
-    assert not DEVICE.locked() and not study_file(many).exists()
+    until(lambda: not DEVICE.locked())
+    assert not study_file(many).exists()
 
 
 def test_a_study_whose_time_is_up_says_so_and_keeps_nothing(study, monkeypatch):

@@ -25,6 +25,7 @@ from phy124.mpm.runner import Runner
 from phy124.scene import Scene
 from phy124.simulation import Setup
 from support.orders import small_order
+from support.processes import until
 
 pytestmark = pytest.mark.usefixtures("coarse_solids")
 
@@ -69,7 +70,8 @@ def test_everything_is_made(order):
     }
     assert "scene.toml" in {path.name for path in done.films.iterdir()}
     assert len(Clip.load(done.clip / "clip.safetensors")) == 3
-    assert not order.stop.exists() and not DEVICE.locked()
+    assert not order.stop.exists()
+    until(lambda: not DEVICE.locked())
 
 
 def test_a_clip_that_is_filmed_again_has_the_view_of_its_videos(order):
@@ -170,7 +172,8 @@ def test_the_stop_file_ends_the_work_and_frees_the_device(order):
             break
     with pytest.raises(Cancelled):
         list(events)
-    assert not DEVICE.locked() and not order.stop.exists()
+    until(lambda: not DEVICE.locked())
+    assert not order.stop.exists()
     assert list((order.folder / "clips").iterdir()) == []
 
 
@@ -182,7 +185,8 @@ def test_a_closed_generator_ends_the_work(order):
     for thread in threading.enumerate():
         if thread.name == "work":
             thread.join(300)
-    assert not DEVICE.locked() and not order.stop.exists()
+    until(lambda: not DEVICE.locked())
+    assert not order.stop.exists()
     assert list((order.folder / "clips").iterdir()) == [], "it went on to the end"
 
 
@@ -212,7 +216,7 @@ def test_when_the_time_is_up_what_is_finished_is_kept(order, monkeypatch):
 def test_work_that_takes_far_too_long_is_ended(order):
     with pytest.raises(InputError, match=r"far longer than .* Choose draft accuracy"):
         list(steps(replace(order, seconds=0.0)))
-    assert not DEVICE.locked()
+    until(lambda: not DEVICE.locked())
 
 
 def test_a_draft_is_not_advised_to_be_a_draft():
