@@ -28,7 +28,7 @@ PARAMETERS = {
     "rate": (float, "Largest number of frames per second; 0 means every frame."),
     "loop": (bool, "Start again after the last frame."),
 }
-"""Type and description of each argument; an empty value means the one in the parameter file."""
+"""Type and description of each argument; an empty value keeps the value in the parameter file."""
 PLAYER = ("clip", "profile", "frame_id", "speed", "rate", "loop")
 SIMULATED = ("source", "scene", "profile", "frame_id", "speed")
 

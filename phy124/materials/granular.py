@@ -65,7 +65,8 @@ class Sand(Logarithmic):
     friction_angle: float = Field(default=35.0, ge=1, le=60)
     """Angle of internal friction in triaxial compression [degrees]. Conical heaps are up to 5
     degrees steeper than this angle. In plane strain, as in channels and on wide slopes, 30 degrees
-    act like 44 degrees, and 35 like 55: use repose_angle for slopes.
+    correspond to a Mohr-Coulomb angle of 44 degrees, and 35 degrees to 55 degrees. For slopes, set
+    repose_angle instead.
     """
     repose_angle: float | None = Field(default=None, ge=1, le=60, examples=[34.0])
     """Slope angle of heaps [degrees]. Default: determined by friction_angle."""
