@@ -32,7 +32,7 @@ class CoupledClock(Clock):
         return min(substeps, key=lambda substep: substep.dt)
 
     def list_failed(self, dt: float) -> list[tuple[Clock, float]]:
-        """Return the clocks that a repeated frame must `halve`: this clock and the lattices'."""
+        """Return the clocks to `halve` if a frame is repeated: this clock and the lattices'."""
         return [*super().list_failed(dt), *(self.lattice.list_failed(dt) if self.lattice else [])]
 
 

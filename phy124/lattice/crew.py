@@ -158,8 +158,8 @@ class Crew:
     def press(self, pushes: wp.array, turns: wp.array) -> None:
         """Replace the forces that act on nodes until the next call.
 
-        The forces give the points the accelerations `pushes` [P,3], m/s^2, with the moments `turns`
-        [P,3,3] (see `make_press`).
+        The forces accelerate the points by `pushes` [P,3], m/s^2; `turns` [P,3,3] are the moments
+        of the forces (see `make_press`).
         """
         assert self.lasting is not None
         self.lasting.zero_()

@@ -221,9 +221,7 @@ class Meeting:
         return self._partners.flagger(self._sample, between=self._between)
 
     def _list(self, points: NDArray[np.int64]) -> None:
-        """Determine the pairs of some surface points; points with an earlier partner keep the
-        force.
-        """
+        """Determine the pairs of some surface points; a point that had a pair keeps its force."""
         surface = self._surface
         partners = self._partners.find(points, between=self._between)
         a, b, gap, n = *(partners.pop(name) for name in ("a", "b", "gap")), partners["normal"]

@@ -75,7 +75,7 @@ class Limits(Kept):
         return due
 
     def shorten(self, drift: float) -> float:
-        """Return a duration of at most `drift` [s] in which walls squeeze no point too much."""
+        """Return `drift` [s], shortened so that walls do not squeeze any point too much."""
         clock = self._clock
         self._runner.join()
         run_timed(self._timings, "measure", lambda: self._runner.complete(MEASURE))

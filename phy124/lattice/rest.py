@@ -239,9 +239,7 @@ class RestLattice:
         return points
 
     def motion_of(self, points: NDArray[np.int64]) -> scipy.sparse.csr_matrix:
-        """Return the weights [K,N] with which the nodes with mass move the integration points
-        `points`.
-        """
+        """Return the weights [K,N] of the nodes with mass in the motion of integration points."""
         weights, shape = _weights(self.offset[points]), (len(points), len(self))
         nodes, starts = self.nodes_of(points // PER_CELL), np.arange(len(points) + 1) * 27
         direct = scipy.sparse.csr_matrix((weights.ravel(), nodes.ravel(), starts), shape=shape)

@@ -76,7 +76,7 @@ class Surface:
 
     @cached_property
     def evenness(self) -> Lazy:
-        """How well the normals near each point agree [S]: from 0 to `EVEN`."""
+        """Agreement of the normals near each point [S], from 0 to `EVEN`."""
         compute = partial(_evenness_at, self.x, self.normal, self.body, self.dx, KDTree(self.x))
         return Lazy(np.zeros(self.count, np.int64), compute)
 

@@ -43,7 +43,7 @@ def needed_cells(lower: NDArray, upper: NDArray, dx: float) -> NDArray:
 
 
 def restrict(x: NDArray, dx: float, most: float) -> tuple[NDArray, NDArray, int]:
-    """Return the lower and upper corner [3], [3] of a box [m], and the number of particles outside
+    """Return the lower and the upper corner [3], m, of a box, and the number of particles outside
     the window around the box. The window has at most `most` cells.
     """
     x = x.astype(np.float64)

@@ -55,7 +55,7 @@ class LiquidClock(Clock):
     """Shortest vibration period of a light body in the liquid [s]."""
 
     def __init__(self, model: Model, *, ceiling: float = math.inf) -> None:
-        """Start the clock of a liquid, whose steps viscosity does not limit."""
+        """Start the clock of a liquid; viscosity does not limit its steps."""
         super().__init__(model, ceiling=ceiling)
         self.viscous = math.inf
 

@@ -48,7 +48,7 @@ class Energies(Kept):
         self.on = False
 
     def start(self) -> None:
-        """Sum the work of all causes from the next recording on."""
+        """Sum the work of all causes, starting when kernel launches are next recorded."""
         self.on = True
 
     def fit(

@@ -25,7 +25,7 @@ from phy124.runtime.weakly import weakly
 
 
 class MixedClock(Clock):
-    """The clock of the bodies' substeps; the liquid's velocities are delayed."""
+    """The clock of the bodies' substeps; it includes the delay of the liquid's velocities."""
 
     liquid: LiquidClock
     share = 0.0
@@ -47,7 +47,7 @@ class MixedClock(Clock):
         return (1 - self.share) * super().behind + self.share * self.liquid.behind
 
     def list_failed(self, dt: float) -> list[tuple[Clock, float]]:
-        """Return the clocks that a repeated frame must `halve`: this clock and the liquid's."""
+        """Return the clocks to `halve` if a frame is repeated: this clock and the liquid's."""
         return [*super().list_failed(dt), *self.liquid.list_failed(self.liquid.last_dt)]
 
     def lag(self, power: float, momentum: NDArray) -> float:

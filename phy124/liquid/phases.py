@@ -1,4 +1,4 @@
-"""Phases: records the launches of a liquid's step for the current window of cells.
+"""Phases: records the kernel launches of a liquid's step for the current window of cells.
 
 All workers run a phase in parallel, and wait for each other between phases.
 """

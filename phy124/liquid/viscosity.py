@@ -1,4 +1,4 @@
-"""Launches that solve the implicit equation of viscosity for the velocities at the faces."""
+"""Kernel launches that solve the implicit viscosity equation for the velocities at the faces."""
 
 from collections.abc import Callable, Iterator
 from typing import Any

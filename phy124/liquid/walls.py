@@ -99,7 +99,7 @@ def walls_of_bodies(names: Iterable[str], model: Model) -> Iterator[Wall]:
 
 
 class Walls:
-    """Launches that write walls into the cells and move particles out of walls."""
+    """Kernel launches that write walls into the cells and move particles out of walls."""
 
     def __init__(self, model: Model, tracks: Tracks, walls: Sequence[Wall]) -> None:
         self._model, self._tracks, self.all = model, tracks, tuple(walls)
@@ -171,7 +171,7 @@ class Walls:
     def _describe_group(
         self, cells: Cells, group: Group, region: Region, worker: int, workers: int
     ) -> tuple[Recorded, list[Recorded]]:
-        """Return the launch for distances, and the launches for open parts of faces and cells."""
+        """Return the kernel launches for distances, and for the open parts of faces and cells."""
         model = self._model
         shape = [group.numbers, group.geometries, self.slots, cells.lattice, cells.window]
         shape += [self._places, group.frame, region.box]

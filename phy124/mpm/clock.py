@@ -164,8 +164,8 @@ class Clock(Kept):
             self.values.assign(np.array(values))
 
     def list_failed(self, dt: float) -> list[tuple[Clock, float]]:
-        """Return the clocks that a repeated frame must `halve`, with the lengths of their last
-        steps [s].
+        """Return the clocks to `halve` if a frame is repeated, and the lengths of their last steps
+        [s].
 
         The last substep lasted `dt` [s]; 0: unknown.
         """
@@ -187,7 +187,7 @@ class Clock(Kept):
             self.ceiling_name = "user"
 
     def finish(self, drift: float, *, violent: bool = False) -> None:
-        """Count a substep of length `drift` [s]; a violent substep requests a measurement."""
+        """Count a substep of length `drift` [s]; a `violent` substep requests a new measurement."""
         self.time += drift
         self.substeps += 1
         self.since_measured += 1

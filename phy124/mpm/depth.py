@@ -1,6 +1,6 @@
-"""Computes on the host how deep points lie in a solid.
+"""Computes the depths of points in a solid on the host.
 
-`phy124.kernels.distance` does so on the device; tests/test_depth.py compares the two modules.
+`phy124.kernels.distance` computes them on the device; tests/test_depth.py compares the two modules.
 """
 
 from collections.abc import Callable

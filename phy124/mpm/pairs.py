@@ -1,6 +1,6 @@
 """Pairs: computes the contact between bodies, and the impulses between them.
 
-There is a launch only for pairs with overlapping windows, so bodies that are far apart take no
+Kernels are launched only for pairs with overlapping windows, so bodies that are far apart take no
 computing time.
 """
 

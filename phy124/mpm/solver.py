@@ -1,7 +1,7 @@
 """Solver: explicit MLS-MPM substeps of stable length.
 
-The launches of a substep are recorded once (phy124/mpm/substep.py) and then repeated: by threads
-for parts of the particles (phy124/mpm/workers.py), or by a CUDA device without the host
+The kernel launches of a substep are recorded once (phy124/mpm/substep.py) and then repeated: by
+threads for parts of the particles (phy124/mpm/workers.py), or by a CUDA device without the host
 (phy124/mpm/graph.py).
 """
 

@@ -70,7 +70,7 @@ class Part:
         return self.particles.start + np.asarray(self.chosen.numpy(), np.int64)
 
     def among(self, indices: NDArray[np.int32]) -> NDArray[np.int32]:
-        """Return those of `indices` that belong to particles of the part."""
+        """Return the items of `indices` that belong to particles of the part."""
         run = self.particles
         if len(self.chosen) == 0:
             return indices[(indices >= run.start) & (indices < run.stop)]
@@ -178,7 +178,7 @@ class Slabs:
     def fit(self, rows: NDArray[np.float64], *, force: bool) -> bool:
         """Fit each worker's nodes (slabs) to its particles; return whether the nodes changed.
 
-        `rows` [parts,COUNT] are measurements. `force` states whether the common window has changed.
+        `rows` [parts,COUNT] are measurements. `force` is true if the common window has changed.
         """
         reaches = [self._reach(part, row) for part, row in zip(self.parts, rows, strict=True)]
         if not force and all(map(_has_space, self.parts, reaches)):
