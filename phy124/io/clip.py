@@ -206,12 +206,7 @@ class Clip:
         if not grains:
             return self
         kept = slice(None, -grains)
-        each = {
-            name: array.select(kept) if isinstance(array, Computed) else array[:, kept]
-            for name in MOVING
-            if (array := getattr(self, name)) is not None
-        }
-        each |= {"opacities": self.opacities[kept], "sh": self.sh[kept]}
+        each = select_moving(self, kept) | {"opacities": self.opacities[kept], "sh": self.sh[kept]}
         each["object_id"] = None if self.object_id is None else self.object_id[kept]
         return replace(self, **each, report={**self.report, "grains": 0})
 
@@ -360,6 +355,15 @@ class Clip:
             raise _refusal(
                 path, f"the shapes of its tensors are inconsistent ({error})."
             ) from error
+
+
+def select_moving(clip: Clip, index: slice | NDArray[np.intp]) -> dict[str, Any]:
+    """Return the arrays that change over time (`MOVING`), for some of the Gaussians."""
+    return {
+        name: array.select(index) if isinstance(array, Computed) else array[:, index]
+        for name in MOVING
+        if (array := getattr(clip, name)) is not None
+    }
 
 
 def stack_arrays(rows: Sequence[NDArray]) -> NDArray:

@@ -7,8 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phy124.errors import InputError
-from phy124.io.clip import MOVING, Clip
-from phy124.motion.recorded import Computed
+from phy124.io.clip import Clip, select_moving
 
 
 def describe_flaws(clip: Clip) -> list[str]:
@@ -57,10 +56,5 @@ def _hide(clip: Clip, sound: NDArray[np.bool_]) -> Clip:
     """Replace each Gaussian outside a mask [N] by an invisible copy of the next one inside."""
     kept = np.flatnonzero(sound)
     source = kept[np.searchsorted(kept, np.arange(len(sound))).clip(max=len(kept) - 1)]
-    moving = {
-        name: array.select(source) if isinstance(array, Computed) else array[:, source]
-        for name in MOVING
-        if (array := getattr(clip, name)) is not None
-    }
     opacities = np.where(sound, clip.opacities, 0)
-    return replace(clip, **moving, opacities=opacities, sh=clip.sh[source])
+    return replace(clip, **select_moving(clip, source), opacities=opacities, sh=clip.sh[source])

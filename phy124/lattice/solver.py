@@ -35,7 +35,7 @@ from phy124.mpm.pairs import Pair, Pairs
 from phy124.mpm.rejection import StepRejection
 from phy124.mpm.repair import Repair
 from phy124.mpm.runner import Runner
-from phy124.mpm.stage import Accumulator, Attachable, Named, Stage, launches
+from phy124.mpm.stage import Accumulator, Attachable, Named, Stage, launches, push_launches
 from phy124.mpm.tracks import Track, Tracks
 from phy124.mpm.workers import FOLLOW, SCHEDULE, Timings, run_timed, usable_workers
 
@@ -206,7 +206,10 @@ class LatticeSolver(Kept):
             crew.reach(cells_of(self._forces, len(self.lattice.rows)))
         self.energies.attach(self.tracks, self.walls, self.meetings, self.free)
         for index, worker in enumerate(self.workers):
-            before = [crew.locate(worker), self._push(index)] if pushed else []
+            before = []
+            if pushed:
+                push = push_launches(self._forces, self.grid, index, len(self.workers))
+                before = [crew.locate(worker), push]
             worker.phases = [
                 *before,
                 crew.force(worker, self.tracks if pushed else None),
@@ -232,20 +235,6 @@ class LatticeSolver(Kept):
         return [
             stage for order in zip(*everything, strict=True) for part in order for stage in part
         ]
-
-    def _push(self, worker: int) -> list[Any]:
-        """Return a worker's kernel launches that apply forces to points.
-
-        The first worker gets all launches if a launch cannot be divided between workers.
-        """
-
-        def record(stages: Sequence[Stage]) -> list[Any]:
-            return launches([(stage.name, stage.record(self.grid)) for stage in stages])
-
-        if all(stage.by_run for stage in self._forces):
-            with self.grid.only(None, worker, len(self.workers)):
-                return record(self._forces)
-        return record(self._forces) if worker == 0 else []
 
     @property
     def nodes(self) -> int:

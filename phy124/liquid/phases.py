@@ -37,7 +37,7 @@ from phy124.liquid.viscosity import Viscosity
 from phy124.liquid.walls import Walls, span
 from phy124.mpm import FreeBodies, Grid, Model, Stage, State
 from phy124.mpm.model import part_of
-from phy124.mpm.stage import Named, Recorded, launches
+from phy124.mpm.stage import Named, Recorded, launches, push_launches
 from phy124.mpm.tracks import Tracks
 from phy124.mpm.workers import Worker
 
@@ -158,7 +158,7 @@ class Phases:
         yield "leave walls", launches(self._push_out(worker, stops=False))
         alone = worker == 0 and self._bodies is None
         yield "scatter", self.pushes.keep(self._run(worker))
-        yield "scatter", self._push(pushes, worker, grid)
+        yield "scatter", push_launches(pushes, grid, worker, len(self._workers))
         yield "scatter", launches(self._solids.kick(self._tracks) if alone else [])
         yield "scatter", [*self._scatter(worker), *self.pushes.add(worker, self._run(worker))]
         yield from self._before_pressure(worker)
@@ -183,11 +183,11 @@ class Phases:
     def _before_pressure(self, worker: int) -> Iterator[tuple[str, list[Named]]]:
         for records in self._activate(worker):
             yield "scatter", launches(records)
-        yield "scatter", launches([self._sum_copies(worker)])
+        yield "scatter", launches([self._sum_copies(worker, "levels", self._cells.sums, 8)])
         yield "scatter", launches([self._levels(worker)])
         for weights, mixed in zip(self._mixture.weights, self._mixture.mixed, strict=True):
             yield "scatter", self._fill(worker, weights)
-            yield "scatter", launches([self._sum_fills(worker)])
+            yield "scatter", launches([self._sum_copies(worker, "density", self._cells.fills, 2)])
             yield "scatter", launches([self._mix(worker, mixed)])
         if self.viscosity.rate > 0:
             sums = self._copy(self._cells.sums, 0)
@@ -230,7 +230,7 @@ class Phases:
         yield self._respond(worker, pulled=False)
 
     def _density_equation(self, worker: int) -> Iterator[list[Recorded]]:
-        yield [self._sum_fills(worker)]
+        yield [self._sum_copies(worker, "density", self._cells.fills, 2)]
         yield [self._refill(worker)]
         yield [self._assemble(worker, self._mixture.uniform), self._excess(worker)]
         yield from self._projection.list_cells(self._cells, worker, self._cells.liquid)
@@ -253,18 +253,6 @@ class Phases:
 
     def _over_cells(self, worker: int, name: str, kernel: Any, inputs: list, outputs: list) -> Any:
         return name, self._cells.record(worker, kernel, inputs, outputs)
-
-    def _push(self, stages: Sequence[Stage], worker: int, grid: Grid) -> list[Named]:
-        """Return a worker's kernel launches that apply forces to particles.
-
-        The first worker gets all launches if one of them cannot be divided.
-        """
-        if all(stage.by_run for stage in stages):
-            with grid.only(None, worker, len(self._workers)):
-                return launches([(stage.name, stage.record(grid)) for stage in stages])
-        if worker > 0:
-            return []
-        return launches([(stage.name, stage.record(grid)) for stage in stages])
 
     def _copy(self, sums: wp.array, worker: int) -> wp.array:
         count = len(sums) // len(self._workers)
@@ -302,12 +290,14 @@ class Phases:
         named = [("clear", work) for work in clear]
         return [*named, *launches([("p2g", launch), ("active", sweep)])]
 
-    def _sum_copies(self, worker: int) -> Recorded:
-        cells, workers = self._cells, len(self._workers)
-        if workers == 1:
-            return "levels", None
-        kernel = faces.make_sum_copies(self._model.real, 8)
-        return self._over_cells(worker, "levels", kernel, [cells.count, workers], [cells.sums])
+    def _sum_copies(self, worker: int, stage: str, copies: wp.array, width: int) -> Recorded:
+        """Return a worker's launch that adds up all workers' vectors of `width` numbers."""
+        if len(self._workers) == 1:
+            return stage, None
+        kernel = faces.make_sum_copies(self._model.real, width)
+        return self._over_cells(
+            worker, stage, kernel, [self._cells.count, len(self._workers)], [copies]
+        )
 
     def _levels(self, worker: int) -> Recorded:
         cells, tracks = self._cells, self._tracks
@@ -438,13 +428,6 @@ class Phases:
         kernel = transfer.make_scatter_volume(model.real, self._form)
         launch = model.launch(kernel, run.stop - run.start, inputs, [fills])
         return [("density", fills.zero_), *launches([("density", launch)])]
-
-    def _sum_fills(self, worker: int) -> Recorded:
-        cells, workers = self._cells, len(self._workers)
-        if workers == 1:
-            return "density", None
-        kernel = faces.make_sum_copies(self._model.real, 2)
-        return self._over_cells(worker, "density", kernel, [cells.count, workers], [cells.fills])
 
     def _mix(self, worker: int, mixed: wp.array) -> Recorded:
         cells = self._cells

@@ -95,3 +95,21 @@ Recorded = tuple[str, Repeatable | None]
 def launches(records: list[Recorded]) -> list[Named]:
     """Return a named function for each recorded kernel launch that repeats it; omit None."""
     return [(name, launch.launch) for name, launch in records if launch is not None]
+
+
+def push_launches(stages: Sequence[Stage], grid: Grid, worker: int, workers: int) -> list[Named]:
+    """Return a worker's kernel launches that apply forces to particles or points.
+
+    The first worker gets all launches if a launch cannot be divided between workers.
+
+    Args:
+        stages: The stages of the forces.
+        grid: The grid for which launches are recorded.
+        worker: Index of the worker.
+        workers: Number of workers.
+    """
+    divided = all(stage.by_run for stage in stages)
+    if worker > 0 and not divided:
+        return []
+    with grid.only(None, worker, workers if divided else 1):
+        return launches([(stage.name, stage.record(grid)) for stage in stages])

@@ -24,7 +24,7 @@ from phy124.mpm.grid import Grid
 from phy124.mpm.model import Model, State, part_of
 from phy124.mpm.outliers import Outliers
 from phy124.mpm.pairs import Pairs
-from phy124.mpm.stage import Named, Recorded, Stage, launches
+from phy124.mpm.stage import Named, Recorded, Stage, launches, push_launches
 from phy124.mpm.tracks import Tracks
 from phy124.mpm.workers import GATHER, Part, Slabs, Worker
 
@@ -124,7 +124,8 @@ class Recorder:
             worker.phases = [*self._passes(moving, index), scattering, *map(launches, update)]
             worker.phases.append(launches(gather))
             if pushes:
-                worker.phases.insert(0, self._push(pushes, index))
+                before = push_launches(pushes, self._grid, index, len(self.workers))
+                worker.phases.insert(0, before)
         last = [*self.free.drift(), *((stage.name, stage.record(self._grid)) for stage in sums)]
         self.workers[0].phases[GATHER] += launches(last)
 
@@ -161,18 +162,6 @@ class Recorder:
     def _grid(self) -> Grid:
         """A grid for launches that need a grid as an argument but do not use the grid's nodes."""
         return next(grid for grid in self.grids if grid.count) if self.model.wet else self.grids[0]
-
-    def _push(self, stages: Sequence[Stage], worker: int) -> list[Named]:
-        """Return a worker's kernel launches that apply forces to particles.
-
-        The first worker gets all launches if a force cannot be divided between workers.
-        """
-        if all(stage.by_run for stage in stages):
-            with self._grid.only(None, worker, len(self.workers)):
-                return launches([(stage.name, stage.record(self._grid)) for stage in stages])
-        if worker > 0:
-            return []
-        return launches([(stage.name, stage.record(self._grid)) for stage in stages])
 
     def _update_phases(self, walls: Sequence[Stage], worker: int) -> list[list[Recorded]]:
         """Return a worker's phases after the scatter: grid update, contact of bodies, and walls.
