@@ -62,5 +62,5 @@ def test_note_states_the_mass_that_static_parts_gain_or_lose(height, more):
     data["accuracy"] = {"cells": 8, "solver": "lattice"}
     data["parts"] = [{"region": {"lower": [-9, -9, -9], "upper": [9, 9, height]}, "static": True}]
     notes = " ".join(prepare(ball(), Scene.from_data(data)).notes)
-    said = f"{more} mass than in their regions, because static parts end at whole cells"
+    said = f"{more} mass than the material in their regions, because static parts end at whole"
     assert said in notes if more else "whole cells" not in notes

@@ -83,7 +83,7 @@ class ExternalWork(Observer):
     def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
         """Yield the kernels that measure walls.
 
-        The kernels that measure forces are compiled when needed, in 0.3 s.
+        The kernels that measure forces are compiled when needed, which takes 0.3 s.
         """
         if subject.scene.boundaries:
             yield from (kernels.make_wall_copy(real), kernels.make_wall_sums(real))

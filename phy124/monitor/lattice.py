@@ -99,8 +99,8 @@ class LatticeWork(MeanWork):
 
     If there are other forces, the work of a constant acceleration is also summed in every substep.
     The product of acceleration and displacement would be less exact, because positions are known
-    half a substep later than velocities. In a wind against gravity, the error of this product was
-    32 % of the energy.
+    half a substep later than velocities. For a body in a wind that blows against gravity, the error
+    of this product was 32 % of the energy.
     """
 
     _solver: Any = None

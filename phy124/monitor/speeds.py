@@ -23,14 +23,14 @@ if TYPE_CHECKING:
 class Speeds(Observer):
     """Measures the largest speed of each material.
 
-    Speeds inside a frame are known only for all particles together. They count for the material
-    that is the fastest at the start or at the end of the frame.
+    Within a frame, only the largest speed of all particles is known. It is attributed to the
+    material that is fastest at the start or at the end of the frame.
     """
 
     kept = ("_fastest", "_last")
 
     def __init__(self, materials: Sequence[Material], material: NDArray) -> None:
-        """`material` [P] is the index of each particle's material."""
+        """Store the materials and the index of each particle's material, `material` [P]."""
         self._materials, self._material = materials, material
         self._fastest = np.zeros(len(materials))
         """Largest speed of each material in all valid frames [M], m/s."""
@@ -39,7 +39,7 @@ class Speeds(Observer):
 
     @classmethod
     def called_for(cls, subject: Subject) -> bool:
-        """Return whether a material has a limit of its speed."""
+        """Return whether any material has a note about its speed."""
         return any(section.notes_at(math.inf) for section in subject.materials)
 
     @classmethod

@@ -177,7 +177,7 @@ class Watchdog(Observer):
             self.external.begin(self.last.momentum)
 
     def restart(self) -> None:
-        """Start the balance again with the next frame, after changing the state."""
+        """Restart the balance with the next frame, because the state has been changed."""
         self._begun = False
 
     def after_substep(self) -> None:

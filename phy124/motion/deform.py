@@ -35,7 +35,7 @@ class Deformer:
     sum w_i F_i`, with smooth weights w that sum to 1. The interpolation is exact for every affine
     motion. For fluid and granular materials, the interpolation is exact only while the vectors `F_i
     (X_g - X_i)` are at most twice as long as at rest. If such material mixes and the particles
-    separate, the Gaussian follows only the nearest of them.
+    separate, the Gaussian follows only the nearest particle.
     """
 
     def __init__(

@@ -55,7 +55,7 @@ class Attachable(Protocol):
 
 
 def divide_forces(forces: Sequence[Any], part: Model, whole: Model) -> list[Any]:
-    """Return the forces that act on a part of a divided model, with the part's share of totals."""
+    """Return the forces on a part of a divided model; the part gets its share of total forces."""
     parts = (force.in_part(part, whole) for force in forces)
     return [force for force in parts if force is not None]
 

@@ -52,7 +52,7 @@ class Matte:
         self.which, self._volumes, self._cell = which, volumes, cell
 
     def light(self, x: NDArray, lamp: NDArray) -> NDArray[np.float32]:
-        """Return the light at points x [n,3] m, as factors of their red, green and blue [n,3].
+        """Return the light at points x [n,3] m, as factors for red, green and blue [n,3].
 
         `lamp` [3] is the unit vector towards the lamp.
         """

@@ -263,7 +263,7 @@ def drawn_frames(clip: Clip, view: View | None = None) -> Iterator[Frame] | None
 
 
 def runs_of(which: NDArray) -> list[list[int]]:
-    """Return the spans [first, last + 1] of consecutive integers in ascending integers."""
+    """Divide ascending integers into runs of consecutive ones; return [first, last + 1] of each."""
     runs = np.split(which, np.flatnonzero(np.diff(which) > 1) + 1)
     return [[int(run[0]), int(run[-1]) + 1] for run in runs]
 

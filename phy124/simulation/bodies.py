@@ -293,9 +293,9 @@ def _note_excess(excess: float) -> list[str]:
         return []
     more = "more" if excess > 0 else "less"
     return [
-        f"The moving parts have {abs(excess):.0%} {more} mass than in their regions, because "
-        "static parts end at whole cells on a lattice; a larger accuracy.cells reduces this "
-        "difference."
+        f"The moving parts have {abs(excess):.0%} {more} mass than the material in their regions, "
+        "because static parts end at whole cells on a lattice; a larger accuracy.cells reduces "
+        "this difference."
     ]
 
 

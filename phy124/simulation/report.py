@@ -133,8 +133,8 @@ def _notes(run: Run) -> list[str]:
 
 
 def _notes_of_materials(run: Run) -> Iterator[str]:
-    """Yield the notes of the scene's materials. Materials from a file are many, so a single
-    material of each law is noted.
+    """Yield the notes of the scene's materials. A properties file may define many materials, so
+    only one material of each law gets its notes.
     """
     sections = run.scene.materials
     if run.scene.properties is not None:

@@ -262,7 +262,7 @@ class Simulation:
 
     @property
     def timings(self) -> Timings:
-        """Seconds and number of launches of each stage of a step, on the main thread."""
+        """Seconds and number of kernel launches of each stage of a step, on the main thread."""
         solvers = [self.solver, getattr(self.solver, "liquid", None)]
         return add_timings(solver.timings for solver in solvers if solver is not None)
 

@@ -42,7 +42,7 @@ def find_moved(before: Scene, after: Scene) -> list[tuple[Track, Track]] | None:
 
 
 def _simple_walls(scene: Scene) -> list[Any]:
-    """Return all simple walls that follow a path, and the flat ones again if they stop solids."""
+    """Return all simple walls that follow a path, then again the flat walls that stop solids."""
     parts = [part for wall in scene.boundaries for part in wall.parts()]
     walls = [*parts, *planes_for_free(scene)]
     return [wall for wall in walls if isinstance(getattr(wall, "motion", None), Path)]

@@ -217,8 +217,8 @@ def pack_stage(
     """Return a clip's stage in the format of the player (phy124/io/viewer/stage.js).
 
     The result consists of plain data, and of shadow maps [T,cells,cells], in which 255 means no
-    light. `clip` contains what the player shows. If liquids have separate opacities, `gloss`
-    contains them in `hues`.
+    light. `clip` contains the frames that the player shows. If liquids have separate opacities,
+    `gloss` contains them in `hues`.
     """
     if stage is None:
         return None

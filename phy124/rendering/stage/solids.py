@@ -69,7 +69,7 @@ class PlacedWall:
 
 
 def place_walls(boundaries: Sequence[Boundary], body: AtRest) -> list[PlacedWall]:
-    """Split boundaries into simple walls, and place each around the objects on which it acts."""
+    """Split boundaries into simple walls; place each wall around the objects on which it acts."""
     walls = [wall for boundary in boundaries for wall in _walls(boundary, body)]
     # Slopes are drawn down to the floor, because material may slide along them to the floor.
     floors = [wall.height for wall in walls if wall.is_floor]
