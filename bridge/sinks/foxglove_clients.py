@@ -201,7 +201,9 @@ def _value(base: str, value: Any, where: str) -> Any:
 
 
 def _round(base: str, value: float, where: str) -> Any:
-    """Return a number as the encoding of ROS messages stores it, such as an integer as a float."""
+    """Convert a number to the type in which ROS messages store it, such as an integer to a
+    float.
+    """
     stored = struct.Struct(f"<{PRIMITIVES[base]}")
     try:
         (number,) = stored.unpack(stored.pack(value))
