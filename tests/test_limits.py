@@ -184,7 +184,7 @@ def test_note_names_the_setting_that_replaces_projection(changes, why):
     scene = Scene.named("water")
     assert note_scene(scene) == []
     (note,) = note_scene(scene.replaced(changes))
-    assert f"{why} Waves" in note and "other objects sink and rise too slowly" in note
+    assert f"{why} In a compressible liquid" in note and "sink and rise too slowly" in note
     assert note_scene(scene.replaced({**changes, "accuracy.liquid": "compressible"})) == []
 
 

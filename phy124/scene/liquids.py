@@ -41,10 +41,10 @@ def note_compressible(scene: Any) -> str | None:
     if not fluid or scene.projects or scene.resolution.liquid is not None:
         return None
     return (
-        f"Pressure projection is not used for the liquid: {reason_for_compressible(scene)}. Waves "
-        "of a compressible liquid are too high, and other objects sink and rise too slowly in it "
-        "(in a test, a block of metal sank 0.16 m within 1 s, with projection 0.50 m). To use "
-        "projection, change this setting."
+        f"Pressure projection is not used for the liquid: {reason_for_compressible(scene)}. In a "
+        "compressible liquid, waves are too high, and other objects sink and rise too slowly. In a "
+        "test, a block of metal sank by 0.16 m within 1 s, instead of 0.50 m with projection. To "
+        "use projection, change this setting."
     )
 
 

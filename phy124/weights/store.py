@@ -117,7 +117,7 @@ def require(name: str, folder: str | os.PathLike[str] | None = None) -> dict[str
             raise InputError(
                 "weights",
                 name,
-                f"{file.path} of {file.repo} was not found (looked for {looked}).",
+                f"{file.path} of {file.repo} was not found at {looked}.",
                 f"Run `phy124 weights fetch {name}`, or {_alternative(name)}.",
             )
         if file.size is not None and path.stat().st_size != file.size:
