@@ -49,6 +49,8 @@ if TYPE_CHECKING:
     from phy124.runtime.context import ContextOptions
 
 PathLike = str | os.PathLike[str]
+Encoder = Callable[[Path, str, Iterator[Picture], float, View], Path]
+Exporter = Callable[[Clip, View, Path, Progress], Path]
 MOST_PIXELS = 1 << 23
 """Largest number of pixels that are encoded at the same time, about four full HD pictures."""
 WAITING = 4
@@ -305,21 +307,15 @@ def write_player(path: PathLike, clip: Clip, view: View, side: str) -> None:
     write_html(path, shown, first, background=view.background, stage=around, shine=gloss)
 
 
-def _usd(clip: Clip, view: View, folder: Path, progress: Progress) -> Path:
-    clip, _ = hide_flaws(clip)
-    frames = drawn_frames(clip, view)
-    write_usd(folder / "clip.usdc", clip, frames=frames, progress=progress)
-    return folder / "clip.usdc"
+def _export(name: str, write: Callable[..., object]) -> Exporter:
+    def export(clip: Clip, view: View, folder: Path, progress: Progress) -> Path:
+        clip, _ = hide_flaws(clip)
+        write(folder / name, clip, frames=drawn_frames(clip, view), progress=progress)
+        return folder / name
+
+    return export
 
 
-def _ply(clip: Clip, view: View, folder: Path, progress: Progress) -> Path:
-    clip, _ = hide_flaws(clip)
-    frames = drawn_frames(clip, view)
-    write_sequence(folder / "clip-ply", clip, frames=frames, progress=progress)
-    return folder / "clip-ply"
-
-
-Encoder = Callable[[Path, str, Iterator[Picture], float, View], Path]
 ENCODERS: dict[str, Encoder] = {
     "mp4": _encode("mp4", write_mp4),
     "webm": _encode("webm", write_film),
@@ -333,9 +329,9 @@ PLAYED = {"mp4", "webm", "mov", "webp", "gif"}
 """Formats that have a frame rate: videos and animations."""
 SMOOTH = 12.0
 """Frame rate below which slow motion looks choppy [1/s]."""
-EXPORTS: dict[str, Callable[[Clip, View, Path, Progress], Path]] = {
-    "usd": _usd,
-    "ply": _ply,
+EXPORTS: dict[str, Exporter] = {
+    "usd": _export("clip.usdc", write_usd),
+    "ply": _export("clip-ply", write_sequence),
     "html": _html,
 }
 """Functions that write the whole clip, and return the path of the file or folder."""
