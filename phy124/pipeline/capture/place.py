@@ -34,6 +34,6 @@ def note_stretched(file: PlyFile, scene: Scene) -> list[str]:
         return []
     return [
         f"{' and '.join(painted)}: the picture is stretched over the front of the object, because "
-        f"{file.path} does not state where the object was in a photograph. If it was painted over "
+        f"{file.path} does not state the object's position in a photograph. If it was painted over "
         "a photograph, simulate the gaussians.ply in the folder of the photograph's run."
     ]

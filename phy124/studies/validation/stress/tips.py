@@ -113,7 +113,7 @@ def check_depth(inside: Inside, lift: float, accuracy: str, setting: Setting, so
     """
     run = drop(inside, setting, solver, {"object.lift": lift, "accuracy": accuracy})
     depth = -float(run.run().means[:, :, 2].min()) / run.scene.dx
-    what = f"depth of {inside.__name__} at {accuracy} by {solver}, from {lift:g} m [cells]"
+    what = f"depth of {inside.__name__} dropped from {lift:g} m ({accuracy}, {solver}) [cells]"
     loose = solver == "lattice" and accuracy == "fine"
     return at_most(what, depth, LOOSE if loose else DEEPEST)
 
@@ -167,7 +167,7 @@ def tips_on_body(setting: Setting) -> list[Check]:
     """Check that tips, edges and hairs penetrate another body by at most a known depth."""
     return [
         at_most(
-            f"depth of {inside.__name__} at {accuracy} by {solver} in a cushion [cells]",
+            f"depth of {inside.__name__} in a cushion ({accuracy}, {solver}) [cells]",
             depth_in_body(inside, accuracy, setting, solver),
             PIERCED,
         )
