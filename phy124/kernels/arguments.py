@@ -138,6 +138,7 @@ def arguments(real: Any, width: int = 0) -> dict[str, Any]:
         "ends": Ints,  # first active cell of each worker, and the number of all active cells
         "listed": Ints,  # cells of liquid (liquid/listed.py)
         "counts": Ints,  # number of cells in each part of a list
+        "begins": Ints,  # lowest active cell of each column of cells
         "open": t.vec4s,  # open fractions of the low faces of each cell
         "covers": t.vec3s,  # fractions of the low faces that freely moving solids close
         "shares": t.vec2s,  # fractions of two B-splines around each cell inside walls
@@ -145,6 +146,10 @@ def arguments(real: Any, width: int = 0) -> dict[str, Any]:
         "phi": t.reals,  # signed distance from the surface of the liquid [cells]
         "distances": t.reals,  # distances of points, half a cell apart, from the nearest wall [m]
         "owners": Ints,  # index of this wall; -1: none
+        "fills": t.vec2s,  # liquid in each cell, with quadratic and with linear weights [m^3]
+        "hats": t.reals,  # fill of each cell with linear weights, where walls count as filled
+        "right": Doubles,  # right-hand side of the equation in each cell
+        "sheet": t.vec4s,  # momentum and mass of a body in each cell
         "velocity": t.vec4s,  # velocities at the low faces [m/s], and fill of the cell
         "known": Ints,  # a bit for each low face with a known velocity
         "states": Ints,  # bits of the low faces in the equation of viscosity (liquid/viscous.py)

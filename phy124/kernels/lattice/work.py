@@ -62,18 +62,7 @@ def make_push_work(real: Any):
 
     @kernel(f"phy124_lattice_push_work_{real.__name__}", real, seconds=0.3)
     def push_work(
-        first,
-        each,
-        stride,
-        chosen,
-        inverse,
-        pool,
-        spans,
-        donors,
-        clock,
-        v_before,
-        v,
-        exchange_out,
+        first, each, stride, chosen, inverse, pool, spans, donors, clock, v_before, v, exchange_out
     ):
         impulse = wp.vec3d()
         work = wp.float64(0.0)

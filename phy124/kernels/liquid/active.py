@@ -83,15 +83,7 @@ def make_count_active(real: Any):
 
     @kernel(f"phy124_liquid_count_active_{real.__name__}", real, seconds=0.2)
     def count_active(
-        part,
-        all: int,
-        window,
-        shares,
-        below: Ints,
-        above: Ints,
-        begins_out: Ints,
-        ends_out,
-        counts_out,
+        part, all: int, window, shares, below: Ints, above: Ints, begins_out, ends_out, counts_out
     ):
         p = part + wp.tid()
         size = window[1]
@@ -126,7 +118,7 @@ def make_list_active(real: Any):
 
     @kernel(f"phy124_liquid_list_active_{real.__name__}", real, seconds=0.2)
     def list_active(
-        part, all: int, window, shares, begins: Ints, ends, counts, active_out, shares_out: Ints
+        part, all: int, window, shares, begins, ends, counts, active_out, shares_out: Ints
     ):
         p = part + wp.tid()
         size = window[1]

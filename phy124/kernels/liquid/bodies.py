@@ -83,7 +83,6 @@ def make_yield(real: Any):
     `x_guess` the last solution. The mass of a surface layer is the surface's mass plus `stiffness`
     dt^2 [kg].
     """
-    t = types(real)
 
     @kernel(f"phy124_liquid_yield_{real.__name__}", real, seconds=0.4)
     def surface_yield(
@@ -98,12 +97,12 @@ def make_yield(real: Any):
         stiffness: Doubles,
         which,
         jumps,
-        sheet: t.vec4s,
+        sheet,
         present: Motions,
         centres,
         x_guess: Doubles,
         diagonal_out: Doubles,
-        right_out: Doubles,
+        right_out,
     ):
         n = entry(active, ends, worker, wp.tid())
         if n < 0:
@@ -176,7 +175,7 @@ def make_body_change(real: Any):
     t = types(real)
 
     @kernel(f"phy124_liquid_body_change_{real.__name__}", real, seconds=0.3)
-    def body_change(window, region, sheet: t.vec4s, pressed: t.vec3s, jumps, change_out: t.vec3s):
+    def body_change(window, region, sheet, pressed: t.vec3s, jumps, change_out: t.vec3s):
         cell = cell_of(wp.tid(), region[1]) + region[0]
         size = window[1]
         if not inner(cell, size, 1):

@@ -43,15 +43,7 @@ def make_mix(real: Any):
     vec8 = sums(real)
 
     @kernel(f"phy124_liquid_mix_{real.__name__}", real, seconds=0.2)
-    def mix(
-        worker,
-        active,
-        ends,
-        window,
-        fills: t.vec2s,
-        cells: wp.array(dtype=vec8),
-        mixed_out: t.vec4s,
-    ):
+    def mix(worker, active, ends, window, fills, cells: wp.array(dtype=vec8), mixed_out: t.vec4s):
         n = entry(active, ends, worker, wp.tid())
         if n < 0:
             return

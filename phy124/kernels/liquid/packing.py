@@ -11,7 +11,7 @@ from typing import Any
 
 import warp as wp
 
-from phy124.kernels.arguments import Doubles, types
+from phy124.kernels.arguments import Doubles
 from phy124.kernels.build import build_once, kernel
 from phy124.kernels.items import item
 from phy124.kernels.liquid.faces import cell_of, entry, inner, stride
@@ -47,21 +47,10 @@ def make_excess(real: Any):
     Cells inside a wall have no unknown in the linear system, so their error is added to the cell in
     front of the wall, or in front of all walls at an edge or corner.
     """
-    t = types(real)
 
     @kernel(f"phy124_liquid_excess_{real.__name__}", real, seconds=0.4)
     def excess(
-        worker,
-        active,
-        ends,
-        window,
-        open,
-        shares,
-        hats: t.reals,
-        phi,
-        liquid,
-        right_out: Doubles,
-        x_out: Doubles,
+        worker, active, ends, window, open, shares, hats, phi, liquid, right_out, x_out: Doubles
     ):
         n = entry(active, ends, worker, wp.tid())
         if n < 0:

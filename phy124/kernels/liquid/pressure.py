@@ -156,7 +156,7 @@ def make_divergence(real: Any):
         liquid,
         carry: Doubles,
         velocity,
-        right_out: Doubles,
+        right_out,
         x_out: Doubles,
     ):
         n = entry(active, ends, worker, wp.tid())

@@ -45,17 +45,7 @@ def make_body_scatter(real: Any):
 
     @kernel(f"phy124_liquid_body_scatter_{real.__name__}", real, seconds=0.4)
     def body_scatter(
-        ahead: real,
-        lattice,
-        window,
-        mass,
-        volume,
-        x,
-        v,
-        C,
-        F,
-        sheet_out: t.vec4s,
-        full_out: t.reals,
+        ahead: real, lattice, window, mass, volume, x, v, C, F, sheet_out, full_out: t.reals
     ):
         p = wp.tid()
         size = window[1]

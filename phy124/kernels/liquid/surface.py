@@ -188,7 +188,7 @@ def make_levels(real: Any):
         solid,
         cells: wp.array(dtype=vec8),
         velocity_out,
-        hats_out: t.reals,
+        hats_out,
         phi_out,
         liquid_out,
         known_out,
@@ -224,7 +224,6 @@ def make_levels(real: Any):
 @build_once
 def make_refill(real: Any):
     """Kernel over cells: computes densities and the distance to the surface from volumes."""
-    t = types(real)
 
     @kernel(f"phy124_liquid_refill_{real.__name__}", real, seconds=0.3)
     def refill(
@@ -238,8 +237,8 @@ def make_refill(real: Any):
         distances,
         owners,
         solid,
-        fills: t.vec2s,
-        hats_out: t.reals,
+        fills,
+        hats_out,
         phi_out,
         liquid_out,
     ):

@@ -288,11 +288,10 @@ def make_scatter(real: Any, form: str):
 @build_once
 def make_scatter_volume(real: Any, form: str):
     """Kernel: adds the particles' volumes to the sums `FILL` and `HAT` of the cells."""
-    t = types(real)
     add = FORMS[form][1]
 
     @kernel(f"phy124_liquid_scatter_volume_{real.__name__}_{form}", real, seconds=0.5)
-    def liquid_scatter_volume(volume, lattice, window, x, fills_out: t.vec2s):
+    def liquid_scatter_volume(volume, lattice, window, x, fills_out):
         p = wp.tid()
         s = local(x[p], lattice, window)
         size = window[1]
