@@ -41,6 +41,7 @@ def test_side_picture_is_cut_out_and_sets_the_depth(visit, tmp_path):
     assert slider.is_enabled() and visit.complaints == []
 
 
+@pytest.mark.slow
 def test_optional_inputs_outlive_a_reload_and_a_refusal(visit, tmp_path):
     page, slider = visit.page, visit.page.get_by_label("Thickness, relative to the estimate")
     film = page.get_by_label("Also film it in the photograph")

@@ -125,6 +125,7 @@ def test_the_picture_chosen_last_is_shown_although_sent_first(visit):
     assert page.evaluate(SRC, "#photo img") == before
 
 
+@pytest.mark.slow
 def test_last_of_two_sides_is_used_even_if_answered_first(visit):
     page = visit.page
     visit.upload()
@@ -142,6 +143,7 @@ def test_last_of_two_sides_is_used_even_if_answered_first(visit):
     assert page.evaluate(SRC, SIDE) == before
 
 
+@pytest.mark.slow
 def test_late_answer_is_not_the_side_of_a_new_object(visit):
     page = visit.page
     visit.upload()
@@ -157,6 +159,7 @@ def test_late_answer_is_not_the_side_of_a_new_object(visit):
     assert page.evaluate("said.filter((text) => text.startsWith('Side: '))") == []
 
 
+@pytest.mark.slow
 def test_the_result_clicked_last_is_shown_and_stops_no_run(visit):
     page = visit.page
     visit.upload()

@@ -138,6 +138,7 @@ def test_a_click_on_the_picture_picks_another_object(visit, tmp_path):
     assert visit.complaints == []
 
 
+@pytest.mark.slow
 def test_the_brush_is_used_by_keyboard(visit):
     visit.upload()
     visit.page.locator("#correct").click()
@@ -151,6 +152,7 @@ def test_the_brush_is_used_by_keyboard(visit):
     assert visit.page.locator("#brush input[type=radio]").nth(1).is_checked()
 
 
+@pytest.mark.slow
 def test_a_heic_photograph_is_shown_and_cut_out(visit):
     """Chromium cannot show it: what is seen comes from the server."""
     visit.upload(PHONE)

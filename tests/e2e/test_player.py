@@ -218,6 +218,7 @@ def test_p4d_is_drawn_and_read_by_range(browser, tmp_path):
     assert max(length for _, length in film.ranges) < len(film.data)
 
 
+@pytest.mark.slow
 def test_a_frame_that_was_lost_on_its_way_is_read_again(browser, tmp_path):
     """Also in a player that does not play."""
     film = Film(tmp_path)
@@ -239,6 +240,7 @@ LOSES_GRAPHICS = """
 """
 
 
+@pytest.mark.slow
 def test_colours_of_p4d_outlive_lost_graphics(browser, tmp_path):
     film = Film(tmp_path)
     with film.opened(browser, "?p4d=a.p4d", LOSES_GRAPHICS) as tab:

@@ -150,12 +150,15 @@ def test_missing_picture_is_noted_until_one_is_chosen(visit):
     page.locator("#forecast summary").wait_for()
 
 
-def test_a_refusal_in_the_place_of_the_forecast_is_seen_in_full(visit):
-    """The sentence has a colon, as forecasts have."""
+def test_a_refusal_is_seen_in_full_and_only_in_one_place(visit):
+    """It takes the place of the forecast; its sentence has a colon, as forecasts have."""
     visit.upload()
     _choose_too_many_frames(visit)
     said = visit.page.locator("#forecast .refused").inner_text()
     assert said == "frames: This page allows at most 72 frames. Choose a smaller number."
+    visit.generate()
+    visit.page.locator("#progress .refused").wait_for()
+    assert not visit.page.locator("#forecast .refused").is_visible()
 
 
 def test_undo_lights_the_card_of_the_scene_that_is_made(visit):
@@ -172,6 +175,7 @@ def test_undo_lights_the_card_of_the_scene_that_is_made(visit):
     assert lit.get_attribute("value") == "bounce"
 
 
+@pytest.mark.slow
 def test_undo_in_the_form_shows_what_it_brings_back(visit):
     page = visit.page
     _more(visit)
@@ -183,11 +187,3 @@ def test_undo_in_the_form_shows_what_it_brings_back(visit):
     law.press("Control+z")
     visit.wait_for_scene(f"(scene) => scene.material.law === '{before}'")
     assert law.input_value() == before and law.evaluate("(e) => e === document.activeElement")
-
-
-def test_a_run_that_is_refused_says_why_only_in_one_place(visit):
-    visit.upload()
-    _choose_too_many_frames(visit)
-    visit.generate()
-    visit.page.locator("#progress .refused").wait_for()
-    assert not visit.page.locator("#forecast .refused").is_visible()

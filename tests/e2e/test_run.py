@@ -209,6 +209,7 @@ def test_cancel_frees_the_device_and_the_next_job_runs(visit, server):
     assert visit.complaints == []
 
 
+@pytest.mark.slow
 def test_the_earlier_result_returns_after_no_result(visit):
     page = visit.page
     visit.upload()
@@ -260,6 +261,7 @@ def test_a_run_called_off_in_the_queue_never_starts(browser, server):
         visit.context.close()
 
 
+@pytest.mark.slow
 def test_two_visitors_get_their_own_results(browser, server):
     visits = [Visit(browser, server), Visit(browser, server)]
     for visit, name in zip(visits, ("duck", "pear"), strict=True):
