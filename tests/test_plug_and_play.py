@@ -24,7 +24,7 @@ from support.pages import ROOT
 
 HALF = np.array([0.5, 0.3, 0.4])
 """Half sides of the box that every description below is of, m."""
-TINY_LGM = Option((32, 32, 64), (False, True, True), (64, 32), (True, False), 32, 16)
+TINY_LGM = Option((32, 32, 64), (False, True, True), (64, 32), (True, False), 32)
 
 
 def centre_path(gaussians: Gaussians, scene: Scene, mass: float) -> np.ndarray:

@@ -8,8 +8,8 @@ import pytest
 
 from phy124.gaussians import quaternions, rotation_matrices
 from phy124.generators.shapes import make_shape
-from phy124.particles.lattice import integration_points
 from phy124.particles.solid import find_interior
+from support.lattices import integration_points
 from support.solids import frame
 
 

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from phy124.gaussians import Gaussians, quaternions
-from phy124.particles.lattice import integration_points
 from phy124.particles.solid import find_interior
 from phy124.particles.surface import THINNEST
-from support.lattices import DX
+from support.lattices import DX, integration_points
 from support.solids import STEM, box_of_discs, frame, stem_of_discs
 
 SIDES = np.array([14.0, 4.0, 1.0]) * DX
