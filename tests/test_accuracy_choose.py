@@ -194,7 +194,8 @@ def test_first_grids_resolve_thin_walls_and_regions(quick, wall, region, cells):
     centre = np.array([0.0, 0.0, 0.5 + wall])
     within = {"lower": (centre - region).tolist(), "upper": (centre + region).tolist()}
     push = {"kind": "acceleration", "a": [0.0, 1.0, 0.0], "region": within}
-    changes = {"boundaries": [box], "forces": [push], "object.lift": wall, "accuracy.cells": 20}
+    changes = {"boundaries": [box], "forces": [push], "object.lift": wall}
+    changes |= {"accuracy.cells": 20, "time.frames": 2}
     about = run_for_goal(Goal.error("50%"), ball(300), quick.replaced(changes)).about
     assert about["cells"] == about["levels"][0] == cells
 
@@ -295,7 +296,9 @@ def test_a_time_goal_avoids_grids_that_are_refused(monkeypatch, limits, cells):
         reach_in(Goal.time(3600))
 
 
-@pytest.mark.parametrize("goal", [Goal.error("50%"), Goal.time(1000)])
+@pytest.mark.parametrize(
+    "goal", [Goal.error("50%"), pytest.param(Goal.time(1000), marks=pytest.mark.slow)]
+)
 def test_a_run_with_a_goal_is_watched_like_others(quick, goal, tmp_path, monkeypatch):
     monkeypatch.setattr(disk_space.shutil, "disk_usage", lambda path: SimpleNamespace(free=9))
     seen = []

@@ -51,7 +51,10 @@ def test_the_probe_leaves_the_simulation_as_it_was():
     assert made.rates.particle > 0
 
 
-@pytest.mark.parametrize("name", ["press", "push_right", "drop"])
+@pytest.mark.parametrize(
+    "name",
+    ["press", *(pytest.param(name, marks=pytest.mark.slow) for name in ("push_right", "drop"))],
+)
 def test_substeps_are_predicted(name):
     """Within what the promise of ten per cent leaves them."""
     chosen = scene(name)
@@ -135,6 +138,7 @@ def test_substeps_of_a_body_with_friction_are_predicted():
     assert made.limiters.get("viscous", 0) > 0.5
 
 
+@pytest.mark.slow
 def test_substeps_of_a_body_that_stiffens_are_predicted():
     profile = {"kind": "ramp", "duration": 0.15, "first": 1.0, "last": 9.0}
     stiffens = scene("push_right", stiffness_profile=profile)

@@ -377,7 +377,7 @@ def test_levels_that_are_done_survive_an_interrupt():
         Study(ball(300), scene, **options).run()
 
 
-@pytest.mark.parametrize("late", ["setting", "comparison"])
+@pytest.mark.parametrize("late", [pytest.param("setting", marks=pytest.mark.slow), "comparison"])
 def test_levels_that_are_done_survive_an_error(tmp_path, monkeypatch, capsys, levels_alone, late):
     """Memory runs out on the second level, or when the levels are compared."""
 

@@ -261,7 +261,9 @@ def test_doctor_says_which_packages_a_node_would_get(monkeypatch):
     assert "constraints-ros.txt" not in numpy_line
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize(
+    "number", [signal.SIGTERM, pytest.param(signal.SIGINT, marks=pytest.mark.slow)]
+)
 def test_a_stopped_recording_is_whole(tmp_path, number):
     """A supervisor, or Ctrl-C, stops the player in the middle of a clip of twenty seconds."""
     random_clip(frames=600).save(tmp_path / "clip.safetensors")

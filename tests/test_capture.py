@@ -118,6 +118,7 @@ def test_an_object_of_fewer_gaussians_keeps_its_size_beside_its_floor(tmp_path):
     np.testing.assert_allclose(sizes[1], sizes[0], rtol=0.01)
 
 
+@pytest.mark.slow
 def test_a_lifted_object_leaves_its_floor_on_the_ground(tmp_path):
     read = capture(
         PlyFile(saved(tmp_path, captured(2)), FLOOR), scene("drop", **{"object.lift": 0.4})
@@ -360,6 +361,7 @@ def test_a_generator_that_is_a_capture(tmp_path, capsys):
     assert clips[0].report["capture"] == clips[1].report["capture"]
 
 
+@pytest.mark.slow
 def test_an_interrupted_generator_that_is_a_capture_goes_on(tmp_path):
     def cancel(stage: str, done: int, total: int) -> None:
         if (stage, done) == ("simulate", 2):

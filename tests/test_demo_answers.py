@@ -201,6 +201,7 @@ def test_cancelling_a_run_leaves_the_fit(studio, handlers, monkeypatch):
     assert [kind for kind, job in jobs.items() if job.stop.exists()] == ["run", "measure"]
 
 
+@pytest.mark.slow
 def test_a_long_live_run_can_be_made_finer(studio, sources, handlers, monkeypatch):
     monkeypatch.setattr(handlers.run, "visitor_of", lambda _: "a")
     monkeypatch.setattr(studio, "work", lambda order: iter([done]))

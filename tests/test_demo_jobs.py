@@ -309,6 +309,7 @@ def test_corrections_keep_the_cutout_that_they_correct(tmp_path):
     assert coverage(6) == pytest.approx(whole, abs=0.01)
 
 
+@pytest.mark.slow
 def test_corrections_fit_into_the_visitors_room(tmp_path):
     pixels = np.random.default_rng(0).integers(0, 255, (100, 100, 4), np.uint8)
     pixels[..., 3] = 0

@@ -87,7 +87,7 @@ def test_programs_are_numbered_and_small_pictures():
     assert sum(path.stat().st_size for path in pictures) < 500_000
 
 
-ALIKE = ("heights", "softer", "camera", "material")
+ALIKE = ("heights", "softer", "camera", "material", "effects", "objects", "file", "swirl")
 """Programs that call the same functions as others do; the slow tests run them as they stand."""
 QUICK = [
     pytest.param(program, marks=[pytest.mark.slow] * (name_of(program) in ALIKE))

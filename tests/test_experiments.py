@@ -146,6 +146,7 @@ def test_speed_of_the_dam_ignores_a_delayed_start():
     assert late_at_times < 0.95 * at_times
 
 
+@pytest.mark.slow
 def test_viscous_heap_spreads_at_the_rate_of_theory():
     """The exponent is 0.092, 0.109, 0.120, 0.124 and 0.127 with 3, 4, 6, 8 and 12 cells."""
     prefactor, exponent = liquids.spread(6, liquids.THICK, longer=2.0)

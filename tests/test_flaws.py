@@ -25,7 +25,9 @@ def flawed(name, value, frames=1):
     return replace(clip, **{name: values})
 
 
-@pytest.mark.parametrize(("name", "value"), [("means", np.nan), ("scales", np.inf)])
+@pytest.mark.parametrize(
+    ("name", "value"), [("means", np.nan), pytest.param("scales", np.inf, marks=pytest.mark.slow)]
+)
 def test_every_format_hides_a_gaussian_that_is_not_finite(tmp_path, capsys, name, value):
     clip = flawed(name, value)
     clip.save(tmp_path / "clip.safetensors")

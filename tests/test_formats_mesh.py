@@ -62,6 +62,7 @@ def test_surface_is_where_the_density_is_a_half():
     assert (near[-1] < 0.5).all() and (near.max(axis=0) > 0.5).all()
 
 
+@pytest.mark.slow
 def test_surface_is_a_cell_from_that_of_a_finer_grid():
     """Of the same density, both ways, for a ball of discs that are thinner than a cell."""
     body = ball()
@@ -187,7 +188,7 @@ def test_mesh_of_the_user_keeps_its_texture_and_follows(tmp_path, spun):
     assert document["images"] and "KHR_materials_unlit" not in document.get("extensionsUsed", [])
 
 
-@pytest.mark.parametrize("count", [300, 1000])
+@pytest.mark.parametrize("count", [300, pytest.param(1000, marks=pytest.mark.slow)])
 def test_surface_of_few_gaussians_is_filled(count):
     few = thin(make_shape("sphere", (1.0, 1.0, 1.0), (1.0, 0.0, 0.0)), count)
     volume = to_trimesh(find_surface(few)).volume
@@ -207,7 +208,7 @@ def test_export_moves_the_mesh_of_the_user(tmp_path, spun, capsys):
 
 
 @pytest.mark.usefixtures("in_this_process", "coarse_solids")
-@pytest.mark.parametrize("older", [False, True])
+@pytest.mark.parametrize("older", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_surface_has_the_pose_of_the_object(tmp_path, capsys, older):
     """An older clip states only the rotation, so its box determines scale and shift."""
     parts = [trimesh.creation.box((10, 3, 5)), trimesh.creation.box((3, 2, 6))]
@@ -290,7 +291,11 @@ def _saved(folder, clip) -> str:
 @pytest.mark.parametrize("name", ["moving-mesh", "usdz"])
 @pytest.mark.parametrize(
     "report",
-    [{"liquids": [{"runs": [[0, 1]]}]}, {"grains": 9}, {"balance": {"tearing": {"likely": True}}}],
+    [
+        {"liquids": [{"runs": [[0, 1]]}]},
+        pytest.param({"grains": 9}, marks=pytest.mark.slow),
+        pytest.param({"balance": {"tearing": {"likely": True}}}, marks=pytest.mark.slow),
+    ],
 )
 def test_moving_mesh_of_separating_material_is_noted(tmp_path, spun, name, report):
     pytest.importorskip("pxr" if name == "usdz" else "skimage", reason="an extra is missing")

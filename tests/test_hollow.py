@@ -66,6 +66,7 @@ def test_no_example_is_called_hollow(path):
     assert not list(find_hollow(*arrays(Image.open(path).convert("RGBA"))))
 
 
+@pytest.mark.slow
 def test_photograph_of_a_cup_of_coffee_has_a_rim():
     data = pytest.importorskip("skimage.data")
     cup = foreground(Image.fromarray(data.coffee()), "u2netp")

@@ -198,6 +198,7 @@ import {program}.__main__
     assert (run.returncode, run.stderr) == (130, said)
 
 
+@pytest.mark.slow
 def test_ctrl_c_while_nothing_moves_yet_leaves_nothing(tmp_path):
     command = ["generate", DUCK, *OPTIONS, "--out", tmp_path / "new" / "out"]
     with started(*command) as run:

@@ -61,6 +61,7 @@ def test_free_bodies_compile_for_cuda(real, tmp_path):
         assert ".visible .entry" in ptx(kernel, tmp_path / str(place))
 
 
+@pytest.mark.slow
 def test_grid_and_pushes_compile_for_cuda(tmp_path):
     kernels = {
         "update": grid.make_update(wp.float32),

@@ -164,6 +164,7 @@ def test_needle_has_surface_points():
     assert len(surface_points(tip, DX)) >= len(surface_points(solid, DX))
 
 
+@pytest.mark.slow
 def test_sharp_parts_touch_with_their_inner_points():
     for size, inner in (((0.4, 0.4, 0.4), False), ((0.4, 0.03, 0.03), True)):
         solver = make(block(size, low=(0.05, 0.05, 0.05), per=20))

@@ -119,6 +119,7 @@ def test_free_solid_floats_next_to_an_elastic_block():
     assert lift == pytest.approx(solid.mass * G, rel=0.1)
 
 
+@pytest.mark.slow
 def test_light_and_heavy_blocks_rise_and_sink():
     for density, sign in ((0.1 * DENSITY, 1), (2.5 * DENSITY, -1)):
         solver = with_block(density, 0.125)
@@ -147,6 +148,7 @@ def test_film_below_a_body_has_the_pressure_at_the_floor(below):
     assert lift == pytest.approx(DENSITY * G * 75 * DX**3, rel=0.06)
 
 
+@pytest.mark.slow
 def test_force_on_particles_presses_the_floor_beside_bodies():
     zone = ZoneForce(place=Region(lower=(-1, -1, -1), upper=(2, 2, 2)), a=(0, 0, -G / 2))
     solver = with_block(DENSITY, 0.125, cells=(4, 4, 4), held=[1], gravity=G / 2, pushes=[zone])
@@ -274,6 +276,7 @@ def test_run_stops_where_walls_leave_too_little_room():
     assert "too little room for the liquid and the bodies in it" in report["stopped"]
 
 
+@pytest.mark.slow
 def test_liquid_on_a_block_that_fills_its_tank_gains_no_energy():
     """No film lies below such a block, whatever the pressure on its top."""
     block = {"name": "block", "shape": "box", "size": 1.4, "sides": (1.0, 1.0, 0.3)}
@@ -331,7 +334,7 @@ def test_vibration_depends_on_the_size_of_each_body():
     assert periods[0] == pytest.approx(periods[1], rel=1e-2)
 
 
-@pytest.mark.parametrize("solver", ["mpm", "lattice"])
+@pytest.mark.parametrize("solver", ["mpm", pytest.param("lattice", marks=pytest.mark.slow)])
 def test_vibration_depends_on_the_stiffness_profile(solver):
     """A slab under a liquid, which is soft or is softened, limits the same number of steps."""
     inside = {"lower": [-0.7, -0.7, 0], "upper": [0.7, 0.7, 1e9]}
@@ -450,6 +453,7 @@ def test_repeated_frame_halves_the_steps_of_the_liquid(monkeypatch, solver):
     assert clock.ceiling == np.inf
 
 
+@pytest.mark.slow
 def test_stiffness_profile_acts_on_the_coupling_with_a_liquid():
     softer = {"kind": "keyframes", "times": [0, 5], "factors": [0.01, 0.01]}
     soft = pool_with_cube("mpm", 1e3, 20)

@@ -138,6 +138,7 @@ def test_energy_contains_the_momentum_of_the_liquid_alone():
     assert solver.clock.lag(0.0, momentum + block) == pytest.approx(lag, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_held_block_is_lifted_by_the_water_it_displaces():
     solver = run(immersed((5, 5, 3), (6, 6, 6), density=DENSITY, held=[1]), 6)
     np.testing.assert_array_equal(rise(solver), 0)
@@ -166,6 +167,7 @@ def test_film_below_a_body_has_the_pressure_at_the_floor(low, below):
     assert lift == pytest.approx(DENSITY * G * 75 * DX**3, rel=0.04)
 
 
+@pytest.mark.slow
 def test_clamped_reed_sways_with_the_water():
     clamp = Held(lower=(-9, -9, -9), upper=(9, 9, DX))
     solver = immersed((7, 7, 0), (2, 2, 8), density=600.0, clamps=[clamp])

@@ -106,6 +106,7 @@ def test_study_command_has_every_object_and_option():
     assert still._study() == "phy124 accuracy drop --image a.png --frames 1"
 
 
+@pytest.mark.slow
 def test_a_dry_run_tells_the_grid_that_a_time_leads_to(file, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("phy124.accuracy.choose.CELLS", (8, 10))
     monkeypatch.setattr("phy124.accuracy.choose.START", 8)

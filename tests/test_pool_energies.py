@@ -49,7 +49,7 @@ def total(energy):
     return energy["forces"] + energy["walls"] + energy["solids"] - energy["lost"]
 
 
-@pytest.mark.parametrize("solver", ["lattice", "mpm"])
+@pytest.mark.parametrize("solver", ["lattice", pytest.param("mpm", marks=pytest.mark.slow)])
 def test_report_divides_the_loss_of_a_pool(solver, tmp_path):
     whole = energy_of(solver)
     assert whole["exchange"]["object"] < -0.2 * whole["turnover"], "the impact slows the ball down"
@@ -158,7 +158,7 @@ def test_exchange_that_creates_energy_is_detected(solver, monkeypatch):
     assert any(phrase in note for note in cast("Any", hidden.find(Watchdog)).notes())
 
 
-@pytest.mark.parametrize("solver", [pytest.param("lattice", marks=pytest.mark.slow), "mpm"])
+@pytest.mark.parametrize("solver", ["lattice", pytest.param("mpm", marks=pytest.mark.slow)])
 def test_threads_and_varying_gravity_do_not_change_the_losses(solver):
     steady = {"kind": "keyframes", "times": [0.0, 0.01], "factors": [0.9999999, 1.0]}
     varied = {"forces": [{"kind": "gravity", "profile": steady}]}
@@ -170,6 +170,7 @@ def test_threads_and_varying_gravity_do_not_change_the_losses(solver):
         assert other["exchange"]["object"] == pytest.approx(whole["exchange"]["object"], rel=1e-3)
 
 
+@pytest.mark.slow
 def test_resumed_run_under_varying_gravity_has_the_same_balance(tmp_path):
     ramp = {"kind": "ramp", "first": 1.0, "last": 1.2, "duration": 0.5}
     run = start("mpm", forces=[{"kind": "gravity", "profile": ramp}])

@@ -81,6 +81,7 @@ def test_a_run_killed_while_it_is_filmed_goes_on(tmp_path, monkeypatch):
     same(tmp_path / "whole", tmp_path / "killed")
 
 
+@pytest.mark.slow
 def test_the_cut_out_is_there_after_a_kill(tmp_path, every_frame):
     duck = Path(__file__).parents[1] / "demo/examples/duck.png"
     seen = pipeline.make_gaussians(duck, SCENE, count=300)

@@ -120,7 +120,8 @@ WEIRD = {
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=[pytest.mark.slow] * (n == "tiny")) for n in WEIRD]
+    "name",
+    [pytest.param(n, marks=[pytest.mark.slow] * (n in ("tiny", "one pixel"))) for n in WEIRD],
 )
 def test_weird_pictures_give_sound_gaussians(name):
     gaussians = relief(WEIRD[name], count=3000)

@@ -54,6 +54,7 @@ def test_back_of_a_profile_is_the_mirrored_front():
     assert eyes_behind(relief(face(), count=5000, back_look="mirror")) > 5
 
 
+@pytest.mark.slow
 def test_a_handle_does_not_make_a_profile():
     """The print of a mug does not show mirrored behind."""
     mask = np.asarray(mug())[..., 3] > 0

@@ -20,6 +20,7 @@ def cube():
     return relief(picture((abs(X - 96) < 60) & (abs(Y - 96) < 60)), count=10_000)
 
 
+@pytest.mark.slow
 def test_straight_edges_without_shading_make_a_slab(cube):
     """A square is a cube, a page is thin; with shading the page is a column."""
     page = (abs(X - 96) < 40) & (abs(Y - 96) < 80)

@@ -93,6 +93,7 @@ def test_the_front_camera_still_sees_the_picture(renderer, horse):
     assert (wanted & seen).sum() / (wanted | seen).sum() > 0.93
 
 
+@pytest.mark.slow
 def test_wheels_are_on_both_sides(car):
     low = car.means[car.means[:, 2] < -0.16]
     assert abs(low[:, 0]).min() > 0.01

@@ -33,6 +33,7 @@ def made(front, side, **options):
     return relief(front, side=side, count=3000, **options)
 
 
+@pytest.mark.slow
 def test_a_disc_from_both_sides_is_a_ball():
     means = made(picture(ellipse(60)), picture(ellipse(60))).means
     radius = VIEW_DISTANCE * np.sin(np.arctan(0.5 / VIEW_DISTANCE))

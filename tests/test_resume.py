@@ -77,7 +77,7 @@ FLYING = {"object.velocity": [0, 0, -30], "material": {"law": "sand"}}
         ("press", {}, {"threads": 2}),
         pytest.param("bounce", {"time.frames": 4}, {}, marks=pytest.mark.slow),
         ("drop", FLYING, {}),
-        ("drop", {"material": {"law": "snow"}}, {}),
+        pytest.param("drop", {"material": {"law": "snow"}}, {}, marks=pytest.mark.slow),
     ],
     ids=["press", "two threads", "bounce", "flying sand", "snow"],
 )

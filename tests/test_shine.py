@@ -201,7 +201,7 @@ def test_a_film_of_particles_in_rows_has_no_stripes():
     assert depth.std() < 0.12 * depth.mean()
 
 
-@pytest.mark.parametrize("pieces", [1, 30])
+@pytest.mark.parametrize("pieces", [1, pytest.param(30, marks=pytest.mark.slow)])
 def test_a_film_of_scattered_particles_has_no_blotches(pieces):
     """Every fourth particle consists of several Gaussians, like those on the object's surface."""
     step, rng = np.arange(CELL / 2, 1.5, CELL), np.random.default_rng(1)

@@ -23,8 +23,8 @@ PRECISIONS = ["float32", pytest.param("float64", marks=pytest.mark.slow)]
 DEVICES = ["cpu", pytest.param("cuda:0", marks=pytest.mark.gpu)]
 
 
-LONG = (30, 33, 34, 35, 36, 37)
-"""Long cases; the tests of tips below, of remedies and of liquids run parts of them."""
+LONG = (21, 30, 31, 33, 34, 35, 36, 37)
+"""Long cases; the tests of tips below, of laws, remedies and liquids run parts of them."""
 MARKED = [
     pytest.param(
         case, marks=[pytest.mark.slow] * (case.number in LONG), id=f"{case.number}-{case.name}"
@@ -45,7 +45,9 @@ def test_hard_case_holds(case, device, precision):
     assert row.verdict == "pass", [check.bound for check in checks if not check.holds] or row
 
 
-@pytest.mark.parametrize(("inside", "solver"), [(hairs, "mpm"), (needle, "lattice")])
+@pytest.mark.parametrize(
+    ("inside", "solver"), [pytest.param(hairs, "mpm", marks=pytest.mark.slow), (needle, "lattice")]
+)
 def test_hairs_and_a_needle_stay_above_the_floor(inside, solver):
     """Two of the ten runs of case 33, one for each solver."""
     assert check_depth(inside, 0.3, "draft", Setting(), solver).holds

@@ -213,6 +213,7 @@ def test_a_mended_picture_takes_the_place_of_its_refusal(balls, tmp_path):
     assert [row["status"] for row in rows] == ["done"] * 3
 
 
+@pytest.mark.slow
 def test_a_clip_refused_for_lack_of_memory_is_tried_again(balls, tmp_path, monkeypatch):
     plan, out = Plan(declared(balls, pictures=str(balls / "a.ply"))), str(tmp_path)
     with monkeypatch.context() as patch:

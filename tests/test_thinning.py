@@ -20,7 +20,9 @@ from phy124.scene import Scene
 from support.shapes import ball
 
 
-@pytest.mark.parametrize("count", [100, 700, pytest.param(None, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "count", [100, *(pytest.param(count, marks=pytest.mark.slow) for count in (700, None))]
+)
 def test_relief_makes_about_the_requested_number(count):
     duck = Path(__file__).parents[1] / "demo/examples/duck.png"
     made = make_object(duck, Scene(), RunContext(device="cpu"), method="grabcut", count=count)

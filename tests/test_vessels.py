@@ -63,7 +63,11 @@ def test_noisy_vessel_stays_hollow(rng, voxels):
 
 
 @pytest.mark.parametrize("noise", [pytest.param(0, marks=pytest.mark.slow), 0.3])
-@pytest.mark.parametrize("name", ["ball", pytest.param("capsule", marks=pytest.mark.slow), "box"])
+@pytest.mark.parametrize(
+    "name",
+    "name",
+    ["ball", *(pytest.param(name, marks=pytest.mark.slow) for name in ("capsule", "box"))],
+)
 def test_shells_without_a_bottom_are_filled(rng, name, noise):
     mesh = {
         "ball": trimesh.creation.icosphere(4, 0.5),
@@ -77,7 +81,7 @@ def test_shells_without_a_bottom_are_filled(rng, name, noise):
     assert find_interior(shifted(shell, noise, rng)).volume == pytest.approx(volume, rel=0.1)
 
 
-@pytest.mark.parametrize("radius", [0.06, 0.12])
+@pytest.mark.parametrize("radius", [0.06, pytest.param(0.12, marks=pytest.mark.slow)])
 def test_shell_with_a_sealed_knob_is_filled(radius):
     box = trimesh.creation.box((1, 1, 1))
     box.update_faces(box.face_normals[:, 2] > -0.5)
