@@ -65,7 +65,6 @@ def test_noisy_vessel_stays_hollow(rng, voxels):
 @pytest.mark.parametrize("noise", [pytest.param(0, marks=pytest.mark.slow), 0.3])
 @pytest.mark.parametrize(
     "name",
-    "name",
     ["ball", *(pytest.param(name, marks=pytest.mark.slow) for name in ("capsule", "box"))],
 )
 def test_shells_without_a_bottom_are_filled(rng, name, noise):
