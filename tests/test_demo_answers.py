@@ -216,6 +216,8 @@ def test_a_long_live_run_can_be_made_finer(studio, sources, handlers, monkeypatc
     assert saved.wait(60)
     answer = handlers.on_finer(studio)(done, None)[0]
     assert answer.get("finer"), answer["message"]
+    # Otherwise it would do its real work when this test has ended.
+    assert studio.visitors.get("a").latest("run").wait(60)
 
 
 def test_a_trial_run_has_the_threads_and_masks_of_the_run(studio, sources, monkeypatch):
