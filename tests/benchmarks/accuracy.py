@@ -227,7 +227,8 @@ def cost_rows(gaussians: Gaussians) -> list[list[str]]:
     cases = [
         ("no change", gaussians, {}),
         *((f"{n:,} Gaussians", few, {}) for n, few in thinned.items()),
-        ("binding lattice", gaussians, {"binding": "lattice"}),
+        ("solver mpm", gaussians, {"accuracy.solver": "mpm"}),
+        ("a particle per Gaussian, mpm", gaussians, {"binding": "particles"}),
         ("1 view", gaussians, {"view.views": ["front"]}),
         ("28 frames in the same time", gaussians, {"time.frames": 27, "time.fps": 48.0}),
         ("256 x 256 pixels", gaussians, {"view.size": 256}),
