@@ -65,7 +65,7 @@ gpu: .venv/test
 	$(BIN)/python tests/benchmarks/gpu
 
 accuracy: .venv/test
-	$(BIN)/python tests/benchmarks/forecast.py --docs
+	$(BIN)/python tests/benchmarks/forecast.py --docs bounce drop press push_right spin sway
 	$(BIN)/python tests/benchmarks/zoo.py --objects ../shared/objects --minutes 300
 	$(BIN)/python tests/benchmarks/expectations.py
 	$(BIN)/python tests/benchmarks/accuracy.py --docs

@@ -1,8 +1,8 @@
 """Compares predicted with measured seconds for the presets at every named accuracy, a line each.
 
 With `--docs` the program updates the table of docs/lab/forecasts.md. Run it on an idle machine,
-because a forecast cannot predict the load of other programs. The program takes about four minutes.
-To run only some scenes, pass their names.
+because a forecast cannot predict the load of other programs. To run only some scenes, pass their
+names. The six scenes of the page take one minute; some other presets take minutes at `fine`.
 
 With `--zoo FOLDER` objects of the zoo (zoo.py) are run at `standard` instead of the duck. This
 takes about five minutes. The program then also measures the time to estimate a run's error,

@@ -65,7 +65,7 @@ def compute_memory(*, process: bool) -> str:
 def tabulate_times() -> str:
     """Return the seconds from a picture to videos, here and in the paper."""
     rows = {row[0]: row for row in read_table("paper.md", "## Time")[1:]}
-    here = rows["phy124 with Gaussians on a lattice (default)"]
+    here = rows["phy124 with default settings"]
     paper = rows["Phy124, the paper's program"]
     names = ("static object", "dynamics, 14 frames", "in all")
     table = [[name, *pair] for name, *pair in zip(names, here[1:], paper[1:], strict=False)]
