@@ -68,7 +68,7 @@ class Settings(Section):
     max_cut_seconds: float = Field(default=60, gt=0)
     """Longest wall-clock time of a cut-out [s]."""
     max_fit_seconds: float = Field(default=900, gt=0)
-    """Longest search for a fit to a video [s]."""
+    """Time limit of a search for the best fit to a video [s]."""
     max_fits: int = Field(default=1, ge=1, le=64)
     """Largest number of fits at the same time."""
     max_queue: int = Field(default=16, ge=1)

@@ -139,7 +139,7 @@ class MixedDissipation(PoolDissipation):
         yield from Dissipation.kernels(without_liquids(subject), real)
 
     def allocate(self, model: Model, workers: int) -> None:
-        """Allocate the sums of the work of the stress."""
+        """Allocate arrays for the accumulated work of the stress."""
         self._stress.allocate(model, workers)
 
     def record(
