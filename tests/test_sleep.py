@@ -254,6 +254,21 @@ def test_new_force_wakes_a_run(solver):
     assert heights[0] - heights[-1] == pytest.approx(9.81 * (5 / 24) ** 2 / 2, rel=0.1)
 
 
+def test_new_target_of_a_grab_wakes_a_run():
+    place = [0, 0, 0.5]
+    grab = {"kind": "grab", "point": place, "radius": 0.3, "targets": [place, place]}
+    still = scene("lattice", forces=[grab], boundaries=[])
+    aside = still.replaced({"forces": [{**grab, "targets": [[0.2, 0, 0.5]] * 2}]})
+    run = Simulation(prepare(ball(300), still, changes=True))
+    places = []
+    for index in range(14):
+        if index == 11:
+            run.change(aside)
+        places.append(run.step().gaussians.means[:, 0].mean())
+    assert np.ptp(places[:11]) < 1e-3 and run.report()["sleep"]["frames"] > 0
+    assert places[-1] - places[0] > 0.02
+
+
 def test_after_a_change_it_must_be_seen_to_rest_again():
     """A force changes during frame 10: that and two more are computed."""
     change = track(Constant(), 9.5 / 24)

@@ -74,7 +74,7 @@ class Press(Plane):
 
     kind: Literal["press"] = "press"
     top: float | None = Field(default=None, ge=-FARTHEST, le=FARTHEST, examples=[1.2])
-    """Initial height of the plate [m]. Default: the top of the object."""
+    """Initial height of the plate [m]. Default: the top of `object`, or of all objects."""
     depth: float = Field(default=0.35, gt=0, le=0.9)
     """Distance that the plate descends, relative to the object's height."""
     start: float = Field(default=0.0, ge=0, le=LONGEST)

@@ -38,9 +38,7 @@ VERSION = "1"
 MOTION = "2"
 """Version of a clip's file that stores a motion, which determines the Gaussians of each frame."""
 SPARE = " " * 8192
-"""Number of spaces in the header of a clip's file. They leave room for a report that is longer than
-the first one.
-"""
+"""Spaces in the header of a clip's file, which leave room for a longer report."""
 SMALL = 64e6
 """Files up to this size [bytes] are read into memory; larger files are memory-mapped."""
 REQUIRED = ("means", "quats", "scales", "opacities", "sh", "times")
@@ -262,9 +260,7 @@ class Clip:
         return finite_rows(self.opacities) & np.all([finite_rows(a) for a in arrays], axis=0)
 
     def with_motion(self, motion: Motion) -> Clip:
-        """Return a copy whose file stores a motion, from which the arrays `DESCRIBED` are
-        computed.
-        """
+        """Return a copy whose file stores a motion instead of the arrays `DESCRIBED`."""
         return replace(self, motion=replace(motion, describes=self._arrays_of_motion()))
 
     def _arrays_of_motion(self) -> tuple[Any, ...]:

@@ -87,6 +87,7 @@ class Sleep(Observer):
     def bind(self, solver: AnySolver, observers: Sequence[Observer] = ()) -> None:
         """Connect the observer to the solver."""
         self._solver, self._state, self._clock = solver, solver.state, solver.clock
+        self._tracks = tuple(solver.tracks.tracks)
 
     def change(self, scene: Scene) -> None:
         """Observe the rest again; disable sleep if the stiffness changes in time."""
@@ -97,6 +98,9 @@ class Sleep(Observer):
         """Return the time [s] of a frame that needs no substeps, and count the frame; otherwise
         None.
         """
+        tracks = tuple(self._solver.tracks.tracks)
+        if tracks != self._tracks:  # the target of a grab or the path of a wall was replaced
+            self._tracks, self.anchor, self.drift, self.speeds = tracks, None, 0.0, []
         flying = self._solver.outliers.count or self._solver.free.all
         if index == 0 or self._stiffness_changes or flying or not self._rests(index):
             return None

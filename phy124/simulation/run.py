@@ -154,8 +154,7 @@ class Simulation:
         """Continue with the forces and boundaries of another scene, from the next substep on.
 
         Raises:
-            InputError: A force or boundary does not fit the object or the grid. The run is then
-                unchanged.
+            InputError: A force or boundary does not fit the object. The run is then unchanged.
         """
         from phy124.lattice.solver import LatticeSolver  # its import is slow
 

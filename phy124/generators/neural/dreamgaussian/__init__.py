@@ -19,4 +19,4 @@ def make_dreamgaussian(*, device: str | None = None, steps: int | None = None) -
 
 
 GENERATORS = {"dreamgaussian": make_dreamgaussian}
-WEIGHTS = ("zero123", "imagedream")
+WEIGHTS = ("zero123",)
