@@ -248,8 +248,8 @@ class Particles:
     body: NDArray[np.int32] | None = None
     """Object of each particle [P]; None: a single object."""
     surface: NDArray[np.float64] | None = None
-    """Surface points [m], outward normals and object indices [S,7] of bodies on lattices,
-    or None.
+    """Surface points of bodies on lattices [S,8], or None: position [m], outward normal, object
+    index, and 1 if the point is a Gaussian outside the material.
     """
     copies: NDArray[np.int8] | None = None
     """For each cell of a lattice, the copies of its 27 nodes that the cell uses [C,27]; None: no

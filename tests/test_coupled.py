@@ -36,7 +36,7 @@ def make(counts, low, solid, *, material=DAMPED, v=None, forces=(), boundaries=(
     kind["origin"] = (0, 0, -0.75 * DX)
     model = Model.of(x, volume, [material, DAMPED], **kind)
     motion = None if v is None else np.asarray(v, float)[body]
-    surface = points.surface + [0, 0, 0, 0, 0, 0, 1]
+    surface = points.surface + [0, 0, 0, 0, 0, 0, 1, 0]
     state, acting = State.of(model, motion), {"forces": forces, "boundaries": boundaries}
     return CoupledSolver(
         model, surface, state, **acting, uniform=forces, walls=boundaries, pairs=pairs, threads=1

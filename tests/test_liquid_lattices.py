@@ -49,7 +49,7 @@ def immersed(
     walls = [SMOOTH] if gravity else []
     return ImmersedSolver(
         model,
-        points.surface + [0, 0, 0, 0, 0, 0, 1],
+        points.surface + [0, 0, 0, 0, 0, 0, 1, 0],
         State.of(model, np.outer(number, v)),
         forces=[Gravity(g=(0, 0, -gravity))] if gravity else [],
         boundaries=[*walls, *clamps],

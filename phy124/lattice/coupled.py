@@ -57,7 +57,7 @@ class CoupledSolver(Solver):
 
         Args:
             model: All particles; the bodies `Model.wet` are on lattices.
-            surface: Surface points [m], outward normals at rest, and indices of bodies [S,7].
+            surface: Surface points at rest [S,8], as in `Particles.surface`.
             state: Initial state of the particles.
             pairs: Pairs of bodies whose contact differs from the default.
             copies: Copy of each of the 27 nodes that a cell uses [C,27]; None: no node has copies.

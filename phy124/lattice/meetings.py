@@ -51,8 +51,10 @@ class Meetings(Kept):
         self._slack = 0.0
         """Relative displacement after which the surfaces are compared again [m]."""
         self._dx = model.dx
-        cube = np.floor(surface.x / (SAMPLED * model.dx)).astype(np.int64)
-        _, sample = np.unique(np.column_stack([surface.body, cube]), axis=0, return_index=True)
+        inside = np.flatnonzero(~surface.is_protrusion)
+        cube = np.floor(surface.x[inside] / (SAMPLED * model.dx)).astype(np.int64)
+        keys = np.column_stack([surface.body[inside], cube])
+        sample = inside[np.unique(keys, axis=0, return_index=True)[1]]
         self._bodies = [np.flatnonzero(surface.body[sample] == b) for b in range(model.bodies)]
         self._x = wp.zeros(len(sample), dtype=types(model.real).vec3, device=model.device)
         self._place = model.launch(

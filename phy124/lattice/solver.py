@@ -69,7 +69,7 @@ class LatticeSolver(Kept):
 
         Args:
             model: The integration points, cell by cell (phy124/particles/lattice.py).
-            surface: Surface points [m], outward normals at rest, and indices of bodies [S,7].
+            surface: Surface points at rest [S,8], as in `Particles.surface`.
             state: The initial motion of the points; None: at rest.
             pairs: Pairs of bodies whose contact differs from the default.
             free: Freely moving rigid solids.

@@ -23,7 +23,7 @@ from scipy.spatial import KDTree
 
 from phy124.kernels.lattice.partners import OTHER
 from phy124.lattice.rest import STEPS, RestLattice, splines
-from phy124.lattice.tips import exact_weights, points_in_tips, rows_of
+from phy124.lattice.tips import exact_weights, nearest_points, points_in_tips, rows_of
 from phy124.particles.lattice import APART, PER_CELL
 
 INSIDE = 0.25
@@ -58,6 +58,8 @@ class Surface:
     """Nodes of each point [S,27]: nine groups of three nodes that are consecutive in memory."""
     weights: NDArray[np.float64]
     """Weights of each surface point's nodes [S,27], with sum 1."""
+    is_protrusion: NDArray[np.bool_]
+    """Whether each surface point is a Gaussian outside the material [S]."""
     of_nodes: NDArray[np.float64]
     """Positions at rest of all nodes [N,3], m."""
     dx: float
@@ -147,16 +149,20 @@ def _evenness_at(
 def make_surface(points: NDArray, lattice: RestLattice) -> Surface:
     """Return the surface points with enough weight on the nodes of the lattice.
 
-    The rows of `points` [S,7] are position [m], outward normal and body index.
+    `points` [S,8] are rows as in `Particles.surface`.
     """
+    protrudes = points[:, 7] > 0
+    points, protrusions = points[~protrudes], points[protrudes]
     tips = points_in_tips(points, lattice)
-    inner = np.concatenate([np.full(len(points), -1), tips])
-    points = np.concatenate([points, rows_of(tips, lattice)])
+    inner = np.concatenate([np.full(len(points), -1), tips, nearest_points(protrusions, lattice)])
+    points = np.concatenate([points, rows_of(tips, lattice), protrusions])
     parity = np.floor(points[:, :3] / (APART * lattice.dx) - 1e-6).astype(np.int64) % 2
     order = np.argsort(parity @ [4, 2, 1], kind="stable")
     points, inner = points[order], inner[order]
     x, normal, body = points[:, :3], points[:, 3:6], points[:, 6].astype(np.int64)
     at = x / lattice.dx - INSIDE * normal
+    within = inner >= 0
+    at[within] = rows_of(inner[within], lattice)[:, :3] / lattice.dx
     cell = np.floor(at).astype(np.int64)
     index = cell[:, None] + STEPS
     nodes = lattice.find(index, body[:, None])
@@ -175,6 +181,7 @@ def make_surface(points: NDArray, lattice: RestLattice) -> Surface:
     weights[near] = _within_rows(nodes[near], weights[near])
     supported = weights.sum(axis=1) > SUPPORTED
     x, normal, weights, inner = (values[supported] for values in (x, normal, weights, inner))
+    is_protrusion = points[supported, 7] > 0
     body, side, nodes = (values[supported] for values in (body, side, nodes))
     arm = index[supported] + 0.5 - (x / lattice.dx)[:, None]
     weighted = weights[:, :, None] * arm
@@ -186,9 +193,10 @@ def make_surface(points: NDArray, lattice: RestLattice) -> Surface:
     weights = np.where(sound[:, None], corrected, weights)
     weights /= weights.sum(axis=1, keepdims=True)
     nodes, weights = _consecutive(nodes, weights, len(lattice))
-    if (inner >= 0).any():
-        nodes[inner >= 0], weights[inner >= 0] = exact_weights(inner[inner >= 0], lattice)
-    return Surface(x, normal, body, side, nodes, weights, lattice.x, lattice.dx)
+    within = inner >= 0
+    if within.any():
+        nodes[within], weights[within] = exact_weights(inner[within], x[within], lattice)
+    return Surface(x, normal, body, side, nodes, weights, is_protrusion, lattice.x, lattice.dx)
 
 
 def _nearest_pieces(

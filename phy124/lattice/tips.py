@@ -17,6 +17,8 @@ SHARP = 0.6
 """A part of a body is sharp if the mean normal within a cell is shorter than this."""
 CLOSEST = 24
 """Largest number of nearby normals that are averaged to find sharp parts."""
+CELLS = 4
+"""Number of cells in which the integration point nearest to a protrusion is searched."""
 ABOVE = 0.3
 """Integration points higher above the surface than this serve as surface points [cells]."""
 
@@ -24,7 +26,7 @@ ABOVE = 0.3
 def points_in_tips(points: NDArray, lattice: RestLattice) -> NDArray[np.int64]:
     """Return the integration points that are in sharp parts of a body and use tied nodes [K].
 
-    The rows of `points` [S,7] are position [m], outward normal and body index.
+    `points` [S,8] are rows as in `Particles.surface`.
     """
     light = lattice.tied[lattice.source[lattice.tied] == lattice.tied]
     cells = np.flatnonzero(np.isin(lattice.nodes_of(), light).any(axis=1))
@@ -38,7 +40,7 @@ def points_in_tips(points: NDArray, lattice: RestLattice) -> NDArray[np.int64]:
     )
     distance, near = distance.reshape(len(rows), count), near.reshape(len(rows), count)
     near = np.minimum(near, len(points) - 1)
-    same = np.isfinite(distance) & (points[near, 6] == rows[:, 6:])
+    same = np.isfinite(distance) & (points[near, 6] == rows[:, 6:7])
     total = (points[near, 3:6] * same[:, :, None]).sum(axis=1)
     sharp = np.linalg.norm(total, axis=1) < SHARP * same.sum(axis=1)
     nearest = points[near[:, 0]]
@@ -47,17 +49,34 @@ def points_in_tips(points: NDArray, lattice: RestLattice) -> NDArray[np.int64]:
 
 
 def rows_of(inner: NDArray[np.int64], lattice: RestLattice) -> NDArray[np.float64]:
-    """Return rows [K,7] of integration points: position [m], a normal of length 0, and body
-    index.
-    """
+    """Return rows [K,8] of integration points, as in `Particles.surface`; normals are zero."""
     cells = inner // PER_CELL
     x = lattice.points_of(cells)[np.arange(len(inner)), inner % PER_CELL] * lattice.dx
     body = lattice.body[lattice.rows[cells, 0]]
-    return np.column_stack([x, np.zeros_like(x), body.astype(np.float64)])
+    return np.column_stack([x, np.zeros_like(x), body.astype(np.float64), np.zeros(len(x))])
+
+
+def nearest_points(points: NDArray, lattice: RestLattice) -> NDArray[np.int64]:
+    """Return an integration point near each of the surface points with rows `points` [K,8].
+
+    This integration point is the nearest of those in the `CELLS` cells with the nearest centres.
+    """
+    x = lattice.points_of(np.arange(len(lattice.rows))) * lattice.dx
+    body, nearest = lattice.body[lattice.rows[:, 0]], np.zeros(len(points), np.int64)
+    for number in np.unique(points[:, 6]):
+        cells, mine = np.flatnonzero(body == number), np.flatnonzero(points[:, 6] == number)
+        count = min(CELLS, len(cells))
+        _, near = KDTree(x[cells].mean(axis=1)).query(points[mine, :3], k=count)
+        near = cells[near.reshape(len(mine), count)]
+        inner = (PER_CELL * near[:, :, None] + np.arange(PER_CELL)).reshape(len(mine), -1)
+        way = x.reshape(-1, 3)[inner] - points[mine, None, :3]
+        best = np.linalg.norm(way, axis=2).argmin(axis=1)
+        nearest[mine] = inner[np.arange(len(mine)), best]
+    return nearest
 
 
 def exact_weights(
-    inner: NDArray[np.int64], lattice: RestLattice
+    inner: NDArray[np.int64], x: NDArray, lattice: RestLattice
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """Return the nodes with mass that move the integration points `inner`, and weights [K,27].
 
@@ -66,8 +85,7 @@ def exact_weights(
     reproduce every linear function.
     """
     nodes, weights = _three_in_a_row(lattice.motion_of(inner))
-    x = rows_of(inner, lattice)[:, :3] / lattice.dx
-    arm = lattice.index[nodes] + 0.5 - x[:, None]
+    arm = lattice.index[nodes] + 0.5 - x[:, None] / lattice.dx
     basis = np.concatenate([np.ones((*arm.shape[:2], 1)), arm], axis=2)
     missed = np.array([1.0, 0, 0, 0]) - np.einsum("pn,pna->pa", weights, basis)
     short = np.abs(missed).max(axis=1) > 1e-9

@@ -69,7 +69,7 @@ class ImmersedSolver:
 
         Args:
             model: All particles; the liquid consists of the bodies `Model.wet`.
-            surface: Surface points [m], outward normals at rest, and indices of bodies [S,7].
+            surface: Surface points at rest [S,8], as in `Particles.surface`.
             state: Initial state of the particles.
             forces: Forces; if there are several liquids, no force acts on only one of them.
             boundaries: Boundaries for the bodies.

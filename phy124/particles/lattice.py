@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from phy124.errors import TooFine
 from phy124.particles.moments import PER_CELL, place_points, sum_groups
 from phy124.particles.pieces import find_copies, find_pieces
+from phy124.particles.protrusions import find_protrusions
 from phy124.particles.seeding import MAX_PARTICLES, Particles
 from phy124.particles.shares import Parts, divide_cells
 from phy124.particles.solid import MEMORY, Solid
@@ -69,7 +70,10 @@ def lattice_of(solid: Solid, *, density: float, dx: float, parts: Parts | None =
         if 0 < moving.sum() < len(moving):
             # The last entry is for voxels without a cell.
             rows = _cut_surface(subdivided, np.append(moving, False)[cell], dx)
-            points = replace(points, surface=rows)
+            assert points.surface is not None
+            protrusions = points.surface[points.surface[:, 7] > 0]
+            protrusions = protrusions[~parts.static[parts.find(protrusions[:, :3])]]
+            points = replace(points, surface=np.concatenate([rows, protrusions]))
         points = divide_cells(points, subdivided, cell, parts, dx)
     return replace(points, density=np.full(len(points), float(density)))
 
@@ -87,7 +91,7 @@ def _lattice_of(solid: Solid, dx: float) -> tuple[Particles, Solid, NDArray[np.i
         density=np.ones(count),
         material=np.zeros(count, np.int32),
         gaussian=np.full(count, -1, np.int32),
-        surface=_rows_of(_surface_points(solid, dx, cells)),
+        surface=_add_protrusions(_surface_points(solid, dx, cells), solid, dx),
         copies=copies,
     )
     for array in vars(points).values():
@@ -96,16 +100,25 @@ def _lattice_of(solid: Solid, dx: float) -> tuple[Particles, Solid, NDArray[np.i
     return points, solid, cell
 
 
+def _add_protrusions(points: NDArray, solid: Solid, dx: float) -> NDArray[np.float64]:
+    """Return the surface points [S,6], followed by the K protrusions, as rows [S + K,8]."""
+    protrusions = find_protrusions(solid.source or solid, points, dx)
+    if len(protrusions):
+        protrusions = _outermost(protrusions, APART * dx)
+    return np.concatenate([_rows_of(points), _rows_of(protrusions, is_protrusion=True)])
+
+
 def _cut_surface(solid: Solid, kept: NDArray[np.bool_], dx: float) -> NDArray[np.float64]:
-    """Return the surface points of the voxels that are kept [V], as rows [S,7]."""
+    """Return the surface points of the voxels that are kept [V], as rows [S,8]."""
     fraction = np.zeros(solid.fraction.shape, np.float32)
     fraction[tuple(solid.voxels.indices.T)] = solid.voxels.fraction * kept
     return _rows_of(surface_points(Solid(solid.first, solid.voxel, fraction), dx))
 
 
-def _rows_of(points: NDArray) -> NDArray[np.float64]:
-    """Return surface points with normals [S,6] as rows [S,7] that end with the body's index."""
-    return np.concatenate([points, np.zeros((len(points), 1))], axis=1)
+def _rows_of(points: NDArray, *, is_protrusion: bool = False) -> NDArray[np.float64]:
+    """Return points with normals [S,6] as rows [S,8] of `Particles.surface`."""
+    tail = np.tile((0.0, float(is_protrusion)), (len(points), 1))
+    return np.concatenate([points, tail], axis=1)
 
 
 def cells_of(points: Particles) -> Particles:

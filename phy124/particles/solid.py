@@ -81,6 +81,8 @@ class Solid:
     """
     source: Solid | None = None
     """The solid from which this solid was resampled."""
+    means: NDArray[np.float32] | None = None
+    """Centres of the visible Gaussians of the solid [K,3], m; None: those of `source`."""
 
     @cached_property
     def voxels(self) -> Voxels:
@@ -191,7 +193,7 @@ def _find_interior(gaussians: Gaussians) -> Solid:
     surface = find_surface(region, region & dilate(outside, 1), grid.samples)
     fraction = surface.fill(region)
     fraction.flags.writeable = False  # All runs use this array.
-    return Solid(grid.first, grid.voxel, fraction, surface)
+    return Solid(grid.first, grid.voxel, fraction, surface, means=some.means)
 
 
 @dataclass(frozen=True, eq=False)

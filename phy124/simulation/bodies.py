@@ -389,7 +389,7 @@ def _join_particles(
     ]
     counts = [len(particles) for particles in objects]
     surfaces = [
-        np.concatenate([each.surface[:, :6], np.full((len(each.surface), 1), float(index))], axis=1)
+        each.surface + np.array([0, 0, 0, 0, 0, 0, index, 0])
         for index, each in enumerate(objects)
         if each.surface is not None
     ]

@@ -227,7 +227,8 @@ def _measure_inside(particles: Particles, other: Particles) -> float:
     """
     if other.surface is None or not len(other.surface):
         return 0.0
-    points, normals = other.surface[:, :3], other.surface[:, 3:6]
+    inside = other.surface[:, 7] == 0
+    points, normals = other.surface[inside, :3], other.surface[inside, 3:6]
     near = np.all((particles.x > points.min(axis=0)) & (particles.x < points.max(axis=0)), axis=1)
     if not near.any():
         return 0.0

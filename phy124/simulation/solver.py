@@ -138,11 +138,11 @@ def find_tops(
 ) -> dict[str, float]:
     """For each free solid and each body on a lattice, return the height of its top [m].
 
-    `surface` has points, normals and body indices [S,7].
+    `surface` [S,8] is described in `Particles.surface`.
     """
     up = np.array([0.0, 0.0, 1.0])
     tops = {solid.name: solid.place[2] + solid.reach(up) for solid in free}
-    points = np.zeros((0, 7)) if surface is None else surface
+    points = np.zeros((0, 8)) if surface is None else surface
     for number, name in enumerate(names):
         heights = points[points[:, 6] == number, 2]
         if len(heights):

@@ -79,7 +79,7 @@ def make_bodies(solids, *materials, v=None, held=(), precision="float64", **opti
     """Return a solver of several solids on their lattices, of one material or of one each."""
     materials = materials or (DAMPED,)
     points = [lattice_of(solid, density=DAMPED.density, dx=DX) for solid in solids]
-    surfaces = [each.surface + [0, 0, 0, 0, 0, 0, i] for i, each in enumerate(points)]
+    surfaces = [each.surface + [0, 0, 0, 0, 0, 0, i, 0] for i, each in enumerate(points)]
     body = np.repeat(np.arange(len(points)), [len(each) for each in points])
     x = np.concatenate([each.x for each in points]).astype(float)
     volume = np.concatenate([each.volume for each in points])

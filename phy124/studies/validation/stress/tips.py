@@ -15,10 +15,15 @@ from phy124.simulation import Simulation, prepare
 from phy124.studies.validation.stress.bodies import Array, host
 from phy124.studies.validation.stress.case import Check, Setting, at_most
 
-DEEPEST = 0.3
-"""Maximum permitted depth below the floor [cells]."""
-LOOSE = 0.4
-"""Maximum permitted depth with accuracy `fine` and the lattice solver [cells]."""
+DEEPEST = {
+    ("lattice", "draft"): 0.3,
+    ("lattice", "standard"): 0.4,
+    ("lattice", "fine"): 0.4,
+    ("mpm", "draft"): 0.4,
+    ("mpm", "standard"): 0.5,
+    ("mpm", "fine"): 0.5,
+}
+"""Maximum permitted depth below the floor for each solver and accuracy [cells]."""
 PIERCED = 2.5
 """Maximum permitted depth inside another body [cells].
 
@@ -114,8 +119,7 @@ def check_depth(inside: Inside, lift: float, accuracy: str, setting: Setting, so
     run = drop(inside, setting, solver, {"object.lift": lift, "accuracy": accuracy})
     depth = -float(run.run().means[:, :, 2].min()) / run.scene.dx
     what = f"depth of {inside.__name__} dropped from {lift:g} m ({accuracy}, {solver}) [cells]"
-    loose = solver == "lattice" and accuracy == "fine"
-    return at_most(what, depth, LOOSE if loose else DEEPEST)
+    return at_most(what, depth, DEEPEST[solver, accuracy])
 
 
 def depth_in_body(inside: Inside, accuracy: str, setting: Setting, solver: str) -> float:
