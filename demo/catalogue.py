@@ -43,7 +43,7 @@ LONGEST, LONGER = 20_000, 200
 scene from a live run contains the position of the hand in each frame.
 """
 LISTS, PARTS = ("forces", "boundaries", "objects", "parts", "pairs"), 64
-"""Names of the fields of a scene that are lists, and the largest number of parts in a scene."""
+"""Fields of a scene that are lists, and the largest total number of entries in these lists."""
 WEIGHTS = {"foam": 50, "water": 1000, "stone": 2600, "iron": 7900}
 """Densities of familiar materials [kg/m^3]."""
 SUBSTANCES: dict[str, dict[str, Any]] = {

@@ -25,8 +25,8 @@ WAITS = 60.0
 FULL = "This server cannot run more live runs at the same time."
 FPS = 24.0
 ROOM, TIME = 0.5, 0.1
-"""Limits of a saved live run. The clip and the viewer's file may take the fraction `ROOM` of a
-visitor's disk space. The motion may last the fraction `TIME` of a run's time limit.
+"""Limits of a saved live run. The clip and the viewer's file may take at most `ROOM` times a
+visitor's disk space. The motion may last at most `TIME` times the time limit of a run.
 """
 FORCES = 64
 """Number of forces (such as grabs) and boundaries that any saved session may have."""

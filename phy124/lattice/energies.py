@@ -96,7 +96,7 @@ class Energies(Kept):
             walls.work = meetings.work = free.work = work
 
     def extend(self, *, pushed: bool) -> None:
-        """Insert the phases of a substep that sum work before the nodes move.
+        """Insert phases into a substep, before the nodes move, that sum the work of the forces.
 
         `pushed` states whether forces act on points.
         """

@@ -48,8 +48,9 @@ class Partners:
     def flagger(
         self, sample: NDArray[np.int64], *, between: bool
     ) -> Callable[[NDArray], NDArray[np.bool_]]:
-        """Return a function from positions of samples [K,3], m, to flags [K]: whether contact is
-        possible.
+        """Return a function that tells for which samples [K] contact is possible.
+
+        The argument of the function is the current positions of the samples [K,3], m.
 
         `sample` [K] contains indices of surface points. `between` is true if the other part belongs
         to another body.

@@ -169,7 +169,7 @@ def _tie(
 
 
 def _are_determined(weight: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return whether the weights of each tied node's donors [T,K] reproduce a constant [T]."""
+    """Return, for each tied node, whether the weights of its donors [T,K] have the sum 1 [T]."""
     determined: NDArray[np.bool_] = np.abs(weight.sum(axis=1) - 1) < 1e-6
     return determined
 

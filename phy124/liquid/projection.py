@@ -40,7 +40,7 @@ class Projection:
         """Motion of each solid per unit impulse; impulses have the units of q = p dt / (rho dx)."""
         shape = (self._parts, 2 * solids)
         self._responses = wp.zeros(shape, dtype=wp.vec3d, device=device)
-        """Velocity and angular velocity of each solid due to the pressures in each part."""
+        """Velocity and angular velocity of each solid that the pressures in each part cause."""
 
     def part(self, worker: int) -> tuple[int, int]:
         """Return the first part that a worker handles, and the number of its parts."""

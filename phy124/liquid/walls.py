@@ -118,7 +118,7 @@ class Walls:
         self.move = any(wall.moves for wall in walls)
         self.follow_tracks = any(slot > 0 for slot in slots)
         self.time = math.nan
-        """Time of the walls' positions in the cells [s]; NaN: unknown."""
+        """Time for which the positions of the walls are stored in the cells [s]; NaN: unknown."""
         self._clock = wp.zeros(3, dtype=model.real, device=device)
         self._places, self._next = (wp.zeros_like(tracks.values) for _ in range(2))
         self._sample = tracks.record(self._clock, [self._next, wp.zeros_like(tracks.rates)])

@@ -52,8 +52,8 @@ NOTES = 20
 """Largest number of stored notes."""
 SLOWEST = 30
 """Largest number of substeps of a frame, as a multiple of the number that the object needs at rest.
-A duck that is made a hundred times softer in ten times the gravity needs 23 times as many substeps
-as at rest.
+For example, the gravity of a duck is multiplied by ten, and its stiffness is divided by 100. The
+duck then needs 23 times as many substeps as at rest.
 """
 
 

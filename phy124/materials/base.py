@@ -119,7 +119,7 @@ class Material(Section):
         return math.log((1 + math.sqrt(1 + 8 * growth)) / 4) / math.sqrt(3)
 
     def theta(self) -> tuple[float, ...]:
-        """Return the parameters of the device law."""
+        """Return the parameters that kernels pass to the stress function of the law."""
         raise NotImplementedError
 
     def theta_on(self, dx: float, cfl: float) -> tuple[float, ...]:

@@ -85,7 +85,7 @@ class CoupledWrenches(Wrenches):
     def wrap_walls(
         self, walls: Sequence[Boundary], inner: Sequence[Attachable]
     ) -> Sequence[Attachable]:
-        """Return the walls, with stages that measure each wall's impulse."""
+        """Return the walls, and add stages to a substep that measure the impulse of each wall."""
         self._rows: dict[str, list[int]] = {}
         """Rows of the lattices' sums for each simple wall, and for each boundary with its parts."""
         of_parts = zip(wall_names(walls), walls, strict=True)

@@ -9,7 +9,7 @@ from phy124.monitor.wrenches import simple_wall_names
 from phy124.mpm import Attachable
 
 DEEP = 0.5
-"""Smallest depth of a point inside a wall for a note [cells]."""
+"""A note names points that are deeper inside a wall than this [cells]."""
 
 
 class LatticeCrossing(Observer):

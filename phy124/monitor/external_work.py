@@ -59,7 +59,7 @@ class Exchange(NamedTuple):
     """Sum of the absolute values of the work [J]."""
 
     def plus(self, sums: Sums) -> Exchange:
-        """Return the sum with the impulse and work of rigid solids (phy124/kernels/free)."""
+        """Return this exchange plus the impulse and work of rigid solids (phy124/kernels/free)."""
         work, moved, turned = sums[free.WORK :]
         return Exchange(
             self.impulse + sums[:3], self.work + work, self.moved + moved, self.turned + turned

@@ -120,7 +120,7 @@ class Observer(Kept):
     """Observes one run; the base class observes nothing."""
 
     absent: ClassVar[dict[str, Any]] = {}
-    """Section of the report without this observer."""
+    """Keys and values that the report has if a run lacks this observer."""
     in_substeps: ClassVar[bool] = False
     """Whether sums are updated in each substep; a rejected substep restores them."""
     in_gathers: ClassVar[bool] = False

@@ -45,7 +45,7 @@ ROUND = 0.3
 WIDEST = 0.7
 """Largest second moment across a stem [voxels^2]."""
 LOOSE = 1.4
-"""Factor on the limits above before the balls have reached the axis."""
+"""The limits above are multiplied by this factor until the balls have reached the axis."""
 DEEP = 0.87
 """Largest level of the samples of a voxel at a rim (RMS). A point at the level L is L times as far
 from the axis as the outline. Most voxels at rims have levels from 0.70 to 0.81.

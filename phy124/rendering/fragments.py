@@ -33,7 +33,10 @@ class Fragments:
     """The fragments of one material of a clip."""
 
     def __init__(self, which: NDArray[np.int64], x: NDArray) -> None:
-        """Divide a material at rest, whose Gaussians `which` [n] are at x [n,3], m."""
+        """Divide a material into fragments.
+
+        `which` [n] are the indices of its Gaussians, and `x` [n,3], m, their positions at rest.
+        """
         self.which = which
         lump, self._fragment = _divide(x, np.random.default_rng(0))
         self._lump = np.empty(self._fragment.max() + 1, np.int64)

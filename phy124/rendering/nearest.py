@@ -265,7 +265,10 @@ class _Seen:
         return not np.allclose(self.axes, self.axes[0])
 
     def standing(self, halves: Values, zoom: float) -> Standing:
-        """Return the cameras' nearest position; `halves` [2] is defined in `Camera.halves`."""
+        """Return the nearest position from which the cameras see the whole object.
+
+        `halves` [2] is defined in `Camera.halves`.
+        """
         halves = halves / zoom
         edges = self._edges(halves).max(axis=0)
         if not self.turning:

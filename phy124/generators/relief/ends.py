@@ -75,7 +75,7 @@ class Continued:
         return upright_body(self.object_mask)
 
     def shorten(self) -> Continued:
-        """Return the image without mirror images and ends."""
+        """Return the original image, without the continuations at the ends of cropped parts."""
         return Continued(self.rgba, self.rgba[..., 3], ())
 
 

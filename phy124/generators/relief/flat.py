@@ -29,8 +29,8 @@ contrast is above the second value.
 """
 RADII = (0.1, 0.15, 0.22, 0.3, 0.4, 0.45)
 HALVES = (0.03, 0.04, 0.08, 0.24, 0.24, 0.08)
-"""Table of a flat object's half thickness for radii of the largest inscribed disc. All values are
-relative to the object's size.
+"""Half the thickness of a flat object, as a function of the radius of the largest disc inside its
+outline. All values are relative to the object's size.
 """
 DISC = 0.4
 """Radius of the largest inscribed disc, relative to the object's size, from which an outline counts

@@ -24,7 +24,7 @@ def share(count: int, part: int, parts: int):
 
 @wp.func
 def total(sums: Table, row: int):
-    """Return the sum of a row of the solver's table over all parts of the list of cells."""
+    """Return the sum of a row of `sums`, whose columns are partial sums over parts of the cells."""
     result = wp.float64(0.0)
     for k in range(sums.shape[1]):
         result += sums[row, k]
