@@ -20,6 +20,11 @@ def cube():
     return relief(picture((abs(X - 96) < 60) & (abs(Y - 96) < 60)), count=10_000)
 
 
+@pytest.fixture(scope="module")
+def tower():
+    return relief(picture((abs(X - 96) < 22) & (abs(Y - 96) < 80)), count=10_000)
+
+
 @pytest.mark.slow
 def test_straight_edges_without_shading_make_a_slab(cube):
     """A square is a cube, a page is thin; with shading the page is a column."""
@@ -95,3 +100,18 @@ def test_walls_of_slabs_have_no_holes(cube):
     wall, front = abs(normals[:, 1]) > 0.95, normals[:, 0] > 0.95
     scales = [np.median(cube.scales[inner & part, 0]) for part in (wall, front)]
     assert scales[0] < 1.25 * scales[1]
+
+
+def test_an_upright_bar_is_as_deep_as_wide(tower):
+    """And a lying bar, such as a plank, is no paper."""
+    depth, width = extents(tower, -0.2, 0.2)
+    assert depth == pytest.approx(width, rel=0.1)
+    plank = relief(picture((abs(X - 96) < 80) & (abs(Y - 96) < 20)), count=3000).means
+    assert 0.2 * np.ptp(plank[:, 2]) < np.ptp(plank[:, 0]) < 0.4 * np.ptp(plank[:, 2])
+
+
+def test_the_back_of_a_tall_slab_has_straight_edges(tower):
+    """Its corners do not stick out."""
+    back = tower.means[tower.means[:, 0] < -0.1]
+    away, up = abs(back[:, 1]), back[:, 2]
+    assert up[away > 0.08].max() == pytest.approx(up[away < 0.04].max(), abs=0.01)

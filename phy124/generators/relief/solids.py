@@ -53,6 +53,14 @@ limit applies.
 """
 NOISE = 0.01
 """Noise of the brightness, relative to the mean."""
+NARROW = (0.4, 0.5)
+"""Ratios of a slab's width to its length. Below the first ratio, the slab has a minimum thickness.
+Above the second ratio, the slab may be a sheet of any thickness.
+"""
+LEAST = 0.25
+"""Smallest thickness of a narrow slab that is not an upright bar, relative to its width."""
+STEPS = 32
+"""Number of steps along a view ray through a slab."""
 
 
 def inflate(
@@ -282,8 +290,8 @@ def _is_shaded(picture: Continued, round_: Field) -> bool:
 def make_slab(
     picture: Continued, view: View, thickness: float = 1.0, most: float | None = None
 ) -> Surface:
-    """Return a slab with a flat front and a flat back; a square becomes a cube, and other shapes
-    are thinner.
+    """Return a slab with a flat front and a flat back. A square becomes a cube, an upright bar is
+    as deep as wide, and other shapes are thinner.
 
     Args:
         picture: Mask of the object.
@@ -298,17 +306,17 @@ def make_slab(
     aspect, full = min(sides) / max(sides), np.count_nonzero(object_mask) / (sides[0] * sides[1])
     inside = picture.alpha > 0.5
     distance = np.where(inside, nearest_of(~inside)[0] - 0.5, 0.5 - nearest_of(inside)[0])
-    h = float(distance.max() * aspect**3 * full)
-    h = thickness * (h if most is None else min(max(h, most / 2), most))
+    widest = float(distance.max())
+    h = widest * aspect**3 * full
+    if most is None:
+        least = 1.0 if full > BOXED and sides[0] > sides[1] else LEAST
+        h = max(h, widest * float(np.interp(2 * widest / max(sides), NARROW, (least, 0))))
+    else:
+        h = min(max(h, most / 2), most)
+    h *= thickness
     # the front appears larger, because it is nearer to the camera than the centre
     h /= 1 + h / view.distance
-    # The camera sees the front edges of the walls at the rim, and the front hides the walls behind
-    # these edges.
-    dy, dx = np.gradient(scipy.ndimage.gaussian_filter(distance, 1.0))
-    y, x = np.mgrid[: object_mask.shape[0], : object_mask.shape[1]]
-    out = -(dx * (x - view.middle[0]) + dy * (y - view.middle[1]))
-    wall = (out + distance) * (1 - h / view.distance) / np.maximum(out, 1e-9)
-    far = np.clip(np.where(out > 1, view.distance * (1 - wall), -h), -h, h)
+    far = _hide(distance, view, h)
     edge = np.clip(distance / max(2.0, 0.1 * h), -1, 1)
     rounded = h * np.sign(edge) * (1 - (1 - np.abs(edge)) ** 2)
     half = np.maximum((h - far) / 2, 1.0)
@@ -316,6 +324,29 @@ def make_slab(
     return Surface.of(
         scipy.ndimage.gaussian_filter(w, 1.0), scipy.ndimage.gaussian_filter((h + far) / 2, 1.0)
     )
+
+
+def _hide(distance: Field, view: View, h: float) -> Field:
+    """Return z [H,W] of the deepest points that a slab's front hides from the camera [pixels].
+
+    The camera sees the front edges of the walls at the rim. A deeper point appears closer to the
+    image's centre, so a view ray leaves the slab through a wall if it is close to the rim.
+
+    Args:
+        distance: Distance from the rim; negative outside [H,W].
+        view: The front camera.
+        h: Half thickness [pixels].
+    """
+    y, x = np.mgrid[: distance.shape[0], : distance.shape[1]]
+    x, y = x - view.middle[0], y - view.middle[1]
+    before, hidden = distance, np.zeros_like(distance)
+    for scale in view.k(np.linspace(h, -h, STEPS + 1))[1:] / view.k(np.array(h)):
+        places = view.middle[1] + scale * y, view.middle[0] + scale * x
+        after = scipy.ndimage.map_coordinates(distance, places, order=1, mode="nearest")
+        after = np.minimum(after, before)
+        hidden += np.clip(before / np.maximum(before - after, 1e-9), 0, 1)
+        before = after
+    return h - 2 * h / STEPS * hidden
 
 
 MIXED_RIM = 8.0
