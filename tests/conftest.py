@@ -33,6 +33,7 @@ from support.solids import coarse
 ROOT = Path(__file__).parents[1]
 GOLDEN = Path(os.environ.get("PHY124_GOLDEN", ROOT / "../shared/golden"))
 OBJECTS = Path(os.environ.get("PHY124_OBJECTS", ROOT / "../shared/objects"))
+EXAMPLES = sorted((ROOT / "demo/examples").glob("*.png"))
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -82,6 +83,15 @@ def bodies_of_many_tests_are_set_up_once() -> Iterator[None]:
         for module, name in cached:
             patch.setattr(module, name, lru_cache(16)(getattr(module, name).__wrapped__))
         yield
+
+
+@pytest.fixture(autouse=True)
+def examples_are_left_alone() -> Iterator[None]:
+    """Tests do not change the example pictures, not even their times: Chromium sends no file that
+    has changed since it was chosen, and the tests of the page run at the same time."""
+    before = [path.stat().st_mtime_ns for path in EXAMPLES]
+    yield
+    assert [path.stat().st_mtime_ns for path in EXAMPLES] == before, "copy the example"
 
 
 @pytest.fixture

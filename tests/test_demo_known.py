@@ -32,6 +32,12 @@ def _sent(studio: Studio, picture: bytes = b"", name: str = "a") -> str:
     return str(studio.visitors.store(name, picture or DUCK.read_bytes(), ".png"))
 
 
+def _duck(studio: Studio) -> Cutout:
+    """The duck as the visitor has sent it, because an order renews the times of its files."""
+    path = _sent(studio)
+    return Cutout(path, path)
+
+
 def test_page_and_command_line_share_declarations(studio):
     from demo.catalogue import catalogue
 
@@ -44,7 +50,7 @@ def test_generator_is_offered_if_the_server_has_weights(studio, monkeypatch):
     from demo.catalogue import catalogue
 
     visitor = studio.visitors.get("a")
-    scene, duck = Scene.named("press"), Cutout(str(DUCK), str(DUCK))
+    scene, duck = Scene.named("press"), _duck(studio)
 
     def order():
         return studio.order(
@@ -147,7 +153,7 @@ def test_a_view_without_an_object_is_named(studio, tmp_path):
 def test_gaussians_are_remade_only_for_new_inputs(studio):
     side, visitor = _sent(studio), studio.visitors.get("a")
     same = studio.visitors.store("a", DUCK.read_bytes(), ".png")
-    scene, duck = Scene.named("press"), Cutout(str(DUCK), str(DUCK))
+    scene, duck = Scene.named("press"), _duck(studio)
 
     def file_of(options) -> Path:
         return made_gaussians(

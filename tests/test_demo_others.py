@@ -42,12 +42,18 @@ def _sent(studio: Studio, picture: bytes, name: str = "a") -> str:
     return str(studio.visitors.store(name, picture, ".png"))
 
 
+def _duck(studio: Studio) -> Cutout:
+    """The duck as the visitor has sent it, because an order renews the times of its files."""
+    path = _sent(studio, DUCK.read_bytes())
+    return Cutout(path, path)
+
+
 def _collide(**changes) -> dict:
     return Scene.named("collide").replaced(changes).data()
 
 
-def _order(studio: Studio, data: dict) -> Order:
-    asked = studio.resolve(Choice("a", Cutout(str(DUCK), str(DUCK)), data))
+def _order(studio: Studio, data: dict, source: Cutout | None = None) -> Order:
+    asked = studio.resolve(Choice("a", source or _duck(studio), data))
     return studio.order(asked, studio.check_extras("a", None))
 
 
@@ -76,7 +82,7 @@ def test_further_objects_have_the_generator_of_the_first(studio, monkeypatch):
         )
     monkeypatch.setattr("demo.extras.effort_of", lambda _: Effort(10.0, {}, ""))
     data = _collide(**{"objects.0.picture": _sent(studio, TEDDY.read_bytes())})
-    asked = studio.resolve(Choice("a", Cutout(str(DUCK), str(DUCK)), data))
+    asked = studio.resolve(Choice("a", _duck(studio), data))
     order = studio.order(asked, studio.check_extras("a", {"generator": "triposr"}))
     assert stages_done(order)["network"] == 20.0
     order.cut_views(SOON)
@@ -106,7 +112,7 @@ def test_pictures_in_use_outlive_newer_ones(studio):
     first = studio.cut_out("a", _sent(studio, DUCK.read_bytes()))
     assert first.wait(60)
     source, folder = first.progress.result, studio.visitors.get("a").folder
-    _order(studio, data).cut_views(SOON)
+    _order(studio, data, source).cut_views(SOON)
     for _ in range(2):
         _age(folder)
         for number in range(PICTURES - 2):
@@ -228,7 +234,7 @@ def test_grab_and_its_clip_take_the_same_object(studio):
     player._save(None)
     (session,) = [json.loads(content) for letter, content in said if letter == SESSION]
     assert (session["forces"][-1]["kind"], session["forces"][-1]["object"]) == ("grab", "above")
-    job = studio.run(Choice("a", Cutout(str(DUCK), str(DUCK)), session, limits=most))
+    job = studio.run(Choice("a", _duck(studio), session, limits=most))
     assert job.wait(300) and job.progress.state == "done", job.progress.message
     report = job.progress.result.report
     assert set(report["objects"]) == {"below", "board", "above"}

@@ -18,7 +18,7 @@ from phy124.errors import InputError
 from phy124.scene import Scene
 from support.served import ROOT
 
-DUCK = str(ROOT / "demo/examples/duck.png")
+DUCK = ROOT / "demo/examples/duck.png"
 
 
 @pytest.fixture
@@ -92,9 +92,10 @@ def test_finer_run_expects_more_seconds_of_gpu(tmp_path):
     studio = Studio(Settings(warm_up=False), Visitors(tmp_path), work=work)
     assert studio.forks
     studio.visitors.get("a")
+    picture = str(studio.visitors.store("a", DUCK.read_bytes(), ".png"))
     for accuracy in ("draft", "fine"):
         scene = Scene.named("press").replaced({"accuracy": accuracy})
         studio._run = lambda visitor, order, job: list(work(order))  # pyright: ignore
-        studio.run(Choice("a", Cutout(DUCK, DUCK), scene.data())).wait(60)
+        studio.run(Choice("a", Cutout(picture, picture), scene.data())).wait(60)
     draft, fine = (order.expected for order in orders)
     assert 0 < draft < fine  # both grow with the load of the machine

@@ -6,6 +6,7 @@
   const { h, follow, mark, state, server, Questions } = globalThis.Phy124;
   const KEPT = 'phy124-picture', LARGEST = 3e6; // a browser tab can store a few MB of text
   const SIDE = 2048; // the server uses no larger picture
+  const UNREAD = 'The file cannot be read: it was changed, moved or removed after it was chosen. Choose it again.';
   const ACCEPT = 'image/png,image/jpeg,image/webp,image/heic,image/heif,image/avif,.heic,.heif,.avif';
 
   async function picture(element, props, watch, trigger) {
@@ -262,13 +263,16 @@
     return new File([made], `picture.${made.type.split('/')[1]}`, { type: made.type });
   }
 
+  /** Return whether a file can be read; browsers do not read a file that was changed after it was chosen. */
+  const isReadable = (file) => file.slice(0, 1).arrayBuffer().then(() => true, () => false);
+
   /** Send a file; return its path on the server, or the reason of a refusal and whether the connection was lost. */
   async function sent(file, limits) {
     const form = new FormData();
     form.append('files', file, file.name || 'picture.png');
     let answer;
     try { answer = await fetch('gradio_api/upload', { method: 'POST', body: form }); }
-    catch { return { message: 'The file could not be sent: the connection was lost.', lost: true }; }
+    catch { return await isReadable(file) ? { message: 'The file could not be sent: the connection was lost.', lost: true } : { message: UNREAD }; }
     if (!answer.ok) return { message: answer.status === 413 ? limits.too_large : await answer.text() };
     server.look();
     return { path: (await answer.json())[0] };

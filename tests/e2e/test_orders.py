@@ -86,8 +86,23 @@ def _settle(visit: Visit) -> None:
 
 
 def _release(visit: Visit, route: Any) -> None:
-    with visit.page.expect_response(lambda answer: answer.request == route.request):
-        route.continue_()
+    """Continue a held request, and wait for its answer; if it fails, show why."""
+    ended: list[str | None] = []
+
+    def end(request: Any) -> None:
+        if request == route.request:
+            ended.append(request.failure)
+
+    def answer(response: Any) -> None:
+        end(response.request)
+
+    visit.page.on("requestfailed", end)
+    visit.page.on("response", answer)
+    route.continue_()
+    _until(visit, ended, 1)
+    visit.page.remove_listener("requestfailed", end)
+    visit.page.remove_listener("response", answer)
+    assert ended[0] is None, f"{route.request.url}: {ended[0]}"
     _settle(visit)
 
 
@@ -114,7 +129,9 @@ def _run(visit: Visit, frames: int) -> None:
 def test_the_picture_chosen_last_is_shown_although_sent_first(visit):
     page = visit.page
     with _held(visit, lambda _: True, "**/upload") as held:
-        page.locator("#photo input[type=file]").set_input_files(DUCK)
+        # As bytes: Chromium would not send a file on disk whose time changes while it is held.
+        picture = {"name": "duck.png", "mimeType": "image/png", "buffer": DUCK.read_bytes()}
+        page.locator("#photo input[type=file]").set_input_files(picture)
         _until(visit, held, 1)
         page.locator("[data-ready=jelly]").click()
         page.wait_for_selector("#cutout img[src]")

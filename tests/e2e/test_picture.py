@@ -1,6 +1,7 @@
 """Pictures in a real headless Chromium: chosen, refused, reduced, photographed, corrected."""
 
 import io
+import os
 
 import numpy as np
 import pytest
@@ -54,6 +55,21 @@ def test_a_picture_is_kept_if_the_next_one_is_not_used(visit):
     page.evaluate(GIVE, ["#photo", "drop", 10])
     page.get_by_text("Choose one picture at a time.").wait_for()
     assert page.locator("#cutout img").is_visible() and visit.complaints == []
+
+
+def test_a_file_that_changes_before_it_is_sent_is_chosen_again(visit, tmp_path):
+    page, path = visit.page, tmp_path / "duck.png"
+    path.write_bytes(DUCK.read_bytes())
+
+    def change(route) -> None:
+        os.utime(path, (0, 0))
+        route.continue_()
+
+    page.route("**/upload", change, times=1)
+    page.locator("#photo input[type=file]").set_input_files(path)
+    page.locator("#picture").get_by_text("it was changed, moved or removed").wait_for()
+    assert not page.get_by_role("button", name="Try again", exact=True).is_visible()
+    visit.upload(path)
 
 
 def test_another_picture_names_the_work_that_it_ends(visit):
