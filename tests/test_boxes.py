@@ -86,6 +86,20 @@ def test_hidden_faces_have_the_colours_of_opposite_faces():
     assert len(directions) == 6
 
 
+def test_hidden_faces_show_the_pattern_of_opposite_faces():
+    """A white band around a carton continues on its back, at the same height."""
+    rgba = draw_box(-35, 0)
+    rgba[180:220, :, :3] = 255
+    gaussians = relief(Image.fromarray(rgba), count=5000)
+    normals = rotation_matrices(gaussians.quats)[:, :, 2]
+    white = gaussians.rgb.min(axis=1) > 0.8
+    front, back = (normals[:, 0] * sign > 0.3 for sign in (1, -1))
+    assert 0.15 < white[front].mean() < 0.35
+    assert white[back].mean() == pytest.approx(white[front].mean(), abs=0.05)
+    heights = [gaussians.means[white & side, 2].mean() for side in (front, back)]
+    assert heights[0] == pytest.approx(heights[1], abs=0.02)
+
+
 def test_other_shapes_are_not_boxes():
     y, x = np.mgrid[:300, :300]
     disc = np.hypot(x - 150, y - 150) < 100

@@ -121,7 +121,7 @@ class Cuboid:
         return float(np.arctan2(up[0], -up[1])), float(np.arcsin(up[2]))
 
     def colours(self, points: Field, normals: Field, seen: Field) -> Field:
-        """Return colours [N,3]; hidden faces get the most common colour of the opposite face.
+        """Return colours [N,3]; a hidden face is the mirror image of the opposite face.
 
         Args:
             points: Projected points [N,3].
@@ -131,11 +131,14 @@ class Cuboid:
         eye = np.array([0.0, 0.0, self.view.distance])
         visible = ((eye - points) * normals).sum(axis=1) > 0
         colours = np.where(visible[:, None], seen, most_common(seen[visible]))
+        places = (points - self.centre) @ self.turn
         axis = np.abs(normals @ self.turn).argmax(axis=1)
         for number in range(3):
-            face = axis == number
-            if (face & visible).any():
-                colours[face & ~visible] = most_common(seen[face & visible])
+            shown, hidden = ((axis == number) & side for side in (visible, ~visible))
+            if shown.any() and hidden.any():
+                across = np.delete(places, number, axis=1)
+                nearest = scipy.spatial.KDTree(across[shown]).query(across[hidden])[1]
+                colours[hidden] = seen[shown][nearest]
         return colours
 
 
