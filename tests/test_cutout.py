@@ -360,6 +360,27 @@ def test_pieces_and_tiny_objects_are_doubted(places, doubted):
     assert len(result.warnings) == 1 and doubted in result.warnings[0]
 
 
+@pytest.mark.parametrize("way", ["auto", "pick", "mask", "alpha"])
+def test_a_small_object_in_a_large_picture_is_cut_out(way, monkeypatch):
+    """It covers 0.06 %, and the method finds only objects that cover 1 % of its picture."""
+    solid = np.zeros((1000, 1200), bool)
+    solid[700:728, 900:926] = True
+    picture = Image.fromarray(np.where(solid[..., None], [200, 40, 30], 120).astype(np.uint8))
+    grey = Image.fromarray(255 * solid.astype(np.uint8))
+
+    def find(image, deadline):
+        red = np.asarray(image.convert("RGB"))[..., 0] > 150
+        return np.where(red & (red.mean() > 0.01), 255, 0).astype(np.uint8)
+
+    monkeypatch.setitem(METHODS, "u2netp", Method(lambda _: True, find))
+    if way == "alpha":
+        picture.putalpha(grey)
+    chosen = {"pick": {"pick": (0.76, 0.71)}, "mask": {"mask": grey}}.get(way, {})
+    result = foreground(picture, **chosen)
+    np.testing.assert_array_equal(alpha_of(result) > 127, solid)
+    assert result.warnings == ("The cut-out is tiny: 0.1% of the picture.",)
+
+
 def test_specks_are_doubted():
     solid = np.random.default_rng(0).random((120, 120)) < 0.1
     rgb = np.full((120, 120, 3), 90, np.uint8)

@@ -14,7 +14,7 @@ from PIL import Image
 
 from phy124.errors import InputError
 from phy124.imaging import salient, u2net
-from phy124.imaging.grabcut import grabcut
+from phy124.imaging.grabcut import find_conspicuous, grabcut
 from phy124.imaging.hollow import find_hollow
 from phy124.imaging.image import open_image, open_mask, original_size
 from phy124.imaging.matting import decontaminate
@@ -27,14 +27,16 @@ from phy124.imaging.silhouette import (
     measure_unseen,
 )
 from phy124.imaging.touching import select_part, split_touching
-from phy124.imaging.transparency import has_alpha, is_faint, make_solid
+from phy124.imaging.transparency import has_alpha, is_faint, make_solid, shows_object
 from phy124.runtime import isolated
 
 Alpha = NDArray[np.uint8]
-MINIMUM, MAXIMUM = 0.003, 0.97
-"""Smallest and largest fraction of the image that an object may cover."""
+MAXIMUM = 0.97
+"""Largest fraction of the image that an object may cover."""
 TINY, MUCH = 0.02, 0.85
 """A warning is shown if the object covers less or more than these fractions of the image."""
+WIDER = 3.0
+"""Side of the window in which a small object is searched, relative to the object's longest side."""
 SIDES = 3
 """A warning is shown if a cut-out touches this number of image edges. Such a cut-out may include
 background, for example a table.
@@ -53,8 +55,9 @@ UNDECIDED = 0.02
 """A warning is shown if `undecided` exceeds this value in a network's cut-out."""
 FAINT = "No part of the picture is opaque; its most opaque part is treated as opaque."
 REMEDY = (
-    "Use a picture that shows one whole object on a plain background, give a mask (white where "
-    "the object is), or save the cut-out object as PNG with transparency."
+    "Use a picture that shows one whole object on a plain background, crop the picture around the "
+    "object, give a mask (white where the object is), or save the cut-out object as PNG with "
+    "transparency."
 )
 LATE = f"Try again when the machine is less busy. {REMEDY}"
 
@@ -245,6 +248,8 @@ def foreground(
         alpha = _pick_object(image, alpha, method, pick, deadline)
     elif method not in TAKEN_WHOLE:
         alpha, count = keep_largest(alpha)
+        if not shows_object(alpha > 127):
+            alpha = _search_conspicuous(image, method, deadline)
     _check_fraction(alpha, method, frames)
     searched = pick is None and method not in TAKEN_WHOLE
     touching = searched and split_touching(np.asarray(image.convert("RGB")), alpha) is not None
@@ -319,7 +324,7 @@ def _pick_object(
     image: Image.Image, alpha: Alpha, method: str, pick: Point, deadline: isolated.Deadline
 ) -> Alpha:
     picked = select_object(alpha, pick)
-    if picked is None and method not in TAKEN_WHOLE:
+    if (picked is None or not shows_object(picked > 127)) and method not in TAKEN_WHOLE:
         picked = search_around(image, pick, lambda part: _search(part, method, deadline))
     if picked is None:
         limit = "No object was found at this point of the picture."
@@ -329,6 +334,18 @@ def _pick_object(
         )
         raise InputError("pick", f"{pick[0]:g},{pick[1]:g}", limit, remedy)
     return select_part(np.asarray(image.convert("RGB")), picked, pixel_at(pick, image.size))
+
+
+def _search_conspicuous(image: Image.Image, method: str, deadline: isolated.Deadline) -> Alpha:
+    """Search around the largest region that differs from the border, for a small object."""
+    region = find_conspicuous(np.asarray(_flatten(image, method).convert("RGB")))
+    nothing = np.zeros(image.size[::-1], np.uint8)
+    if region is None:
+        return nothing
+    point, extent = region
+    sides = (min(1.0, WIDER * extent),)
+    alpha = search_around(image, point, lambda part: _search(part, method, deadline), sides)
+    return nothing if alpha is None else alpha
 
 
 def _check_point(pick: Point | None) -> None:
@@ -373,17 +390,17 @@ def _apply_mask(image: Image.Image, mask: Image.Image, method: str) -> Alpha:
 
 
 def _check_visible(image: Image.Image) -> None:
-    opaque = float(np.mean(np.asarray(image.getchannel("A")) > 127))
-    if opaque >= MINIMUM:
+    opaque = np.asarray(image.getchannel("A")) > 127
+    if shows_object(opaque):
         return
-    limit = f"{1 - opaque:.2%} of the picture is transparent, so it shows no object."
+    limit = f"{1 - opaque.mean():.2%} of the picture is transparent, so it shows no object."
     remedy = "Save the picture again without transparency, or use another picture."
     raise InputError("image", "{} x {} pixels".format(*original_size(image)), limit, remedy)
 
 
 def _check_fraction(alpha: Alpha, method: str, frames: int) -> None:
     fraction = float(np.mean(alpha > 127))
-    if MINIMUM <= fraction <= MAXIMUM:
+    if shows_object(alpha > 127) and fraction <= MAXIMUM:
         return
     if method == "mask":
         limit = f"{fraction:.0%} of the mask is white, which cannot be an object."

@@ -12,6 +12,8 @@ ROUNDS = 4
 RING = 0.03
 """Width of the border that is assumed to be background, relative to the image's shorter side."""
 COLOURS = 6
+UNLIKE = 0.5
+"""Smallest difference of a conspicuous region from the border; see `_unlikeness`."""
 KEEP = 0.12
 """Smallest area of a piece that is kept, relative to the largest piece."""
 PINHOLE = 0.004
@@ -54,19 +56,46 @@ def _run_grabcut(rgb: NDArray, labels: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def _initial_labels(rgb: NDArray) -> list[NDArray[np.uint8]]:
-    height, width = rgb.shape[:2]
-    ring = max(1, round(RING * min(height, width)))
-    border = np.ones((height, width), bool)
-    border[ring:-ring, ring:-ring] = False
-    centre = _centrality(height, width)
+    border = _border_of(rgb)
+    centre = _centrality(*rgb.shape[:2])
     unlike = _unlikeness(rgb, border)
-    prior = cv2.GaussianBlur(unlike * centre, (0, 0), 0.015 * max(height, width))
+    prior = cv2.GaussianBlur(unlike * centre, (0, 0), 0.015 * max(rgb.shape[:2]))
     level = np.clip(np.rint(255 * prior / max(float(prior.max()), 1e-6)), 0, 255).astype(np.uint8)
     threshold, _ = cv2.threshold(level[~border][None], 0, 255, cv2.THRESH_OTSU)
     contrast = level > threshold
     ellipse = centre > np.exp(-0.75)
     guesses = (contrast, ellipse, contrast | (ellipse & (unlike > 0.5)))
     return [_label(guess, border) for guess in guesses]
+
+
+def _border_of(rgb: NDArray) -> NDArray[np.bool_]:
+    ring = max(1, round(RING * min(rgb.shape[:2])))
+    border = np.ones(rgb.shape[:2], bool)
+    border[ring:-ring, ring:-ring] = False
+    return border
+
+
+def find_conspicuous(rgb: NDArray[np.uint8]) -> tuple[tuple[float, float], float] | None:
+    """Find the largest region that differs from the border of an image [H,W,3].
+
+    Returns:
+        The region's innermost point, as fractions of the image's width and height, and the region's
+        longest side, relative to the image's longest side; None if no region differs.
+    """
+    if is_blank(rgb):
+        return None
+    cv2.setRNGSeed(0)
+    small = shrink(rgb)
+    unlike = (_unlikeness(small, _border_of(small)) > UNLIKE).astype(np.uint8)
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(unlike, connectivity=8)
+    if len(stats) < 2:
+        return None
+    largest = 1 + int(stats[1:, cv2.CC_STAT_AREA].argmax())
+    depth = cv2.distanceTransform((labels == largest).astype(np.uint8), cv2.DIST_L2, 5)
+    row, column = np.unravel_index(int(depth.argmax()), depth.shape)
+    sides = stats[largest, [cv2.CC_STAT_WIDTH, cv2.CC_STAT_HEIGHT]]
+    point = (column + 0.5) / depth.shape[1], (row + 0.5) / depth.shape[0]
+    return point, float(sides.max() / max(depth.shape))
 
 
 def _label(guess: NDArray[np.bool_], border: NDArray[np.bool_]) -> NDArray[np.uint8]:

@@ -23,7 +23,7 @@ COUNTED = 0.05
 """Objects with less than this fraction of the largest object's area are ignored."""
 NEAR = 0.02
 """Largest distance of a point from its object, relative to the image's longest side."""
-WINDOWS = (0.7, 0.45, 0.3)
+WINDOWS = (0.7, 0.45, 0.3, 0.15, 0.08)
 """Sides of the search windows, relative to the image's longest side."""
 MINIMUM = 0.02
 """Smallest fraction of a search window that an object must cover."""
@@ -75,15 +75,24 @@ def select_object(alpha: Alpha, point: Point) -> Alpha | None:
 
 
 def search_around(
-    image: Image.Image, point: Point, find: Callable[[Image.Image], Alpha]
+    image: Image.Image,
+    point: Point,
+    find: Callable[[Image.Image], Alpha],
+    sides: tuple[float, ...] = WINDOWS,
 ) -> Alpha | None:
     """Search windows around a point for an object that the segmentation missed.
+
+    Args:
+        image: The whole image.
+        point: A point on the object.
+        find: Segments the object of a window; returns the alpha of the window.
+        sides: Sides of the windows, relative to the image's longest side.
 
     Returns:
         The alpha [H,W] of the object that touches the fewest edges of its window, or None.
     """
     best, fewest = None, 5
-    for box in _windows_around(image.size, point):
+    for box in _windows_around(image.size, point, sides):
         left, top, right, bottom = box
         inside = pixel_at(point, image.size)
         place = (inside[1] - left + 0.5) / (right - left), (inside[0] - top + 0.5) / (bottom - top)
@@ -99,9 +108,9 @@ def search_around(
     return best
 
 
-def _windows_around(size: tuple[int, int], point: Point) -> Iterator[Box]:
+def _windows_around(size: tuple[int, int], point: Point, sides: tuple[float, ...]) -> Iterator[Box]:
     row, column = pixel_at(point, size)
-    for fraction in WINDOWS:
+    for fraction in sides:
         side = round(fraction * max(size))
         width, height = min(side, size[0]), min(side, size[1])
         left = min(max(column - width // 2, 0), size[0] - width)

@@ -1,20 +1,26 @@
 """Examines the alpha channel of images."""
 
 import numpy as np
+from numpy.typing import NDArray
 from PIL import Image
 
 REAL = 0.003
-"""In a cut-out, at least this fraction of the pixels is opaque, and at least the same fraction is
-transparent.
-"""
+"""Smallest fraction of an image that an object covers, except in large images."""
+SMALLEST = 256
+"""Number of pixels that suffice for an object in a large image, whatever fraction they are."""
 FAINTEST = 8
 """An image counts as empty if its largest alpha (0 to 255) is below this value."""
 
 
 def has_alpha(image: Image.Image) -> bool:
     """Whether the alpha channel separates an object from a transparent background."""
-    solid = float(np.mean(np.asarray(image.convert("RGBA").getchannel("A")) > 127))
-    return REAL <= solid <= 1 - REAL
+    solid = np.asarray(image.convert("RGBA").getchannel("A")) > 127
+    return shows_object(solid) and float(solid.mean()) <= 1 - REAL
+
+
+def shows_object(solid: NDArray[np.bool_]) -> bool:
+    """Whether a mask [H,W] has enough pixels for an object: `SMALLEST`, or the fraction `REAL`."""
+    return bool(np.count_nonzero(solid) >= min(SMALLEST, REAL * solid.size))
 
 
 def is_faint(image: Image.Image) -> bool:
