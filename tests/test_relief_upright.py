@@ -56,3 +56,15 @@ def test_vessels_are_as_deep_as_wide_and_handles_are_thin():
     assert np.ptp(bowl[:, 0]) == pytest.approx(np.ptp(bowl[:, 1]), rel=0.07)
     pot = relief(picture(POT, colours), count=3000).means
     assert np.ptp(pot[:, 0]) == pytest.approx(np.ptp(pot[:, 1]) * 60 / 90, rel=0.07)
+
+
+def test_handle_that_points_to_the_viewer_ends_above_the_foot():
+    """A raised camera sees such a handle lower than its roots; the wall shows nothing of it."""
+    x, y = X - 150, Y - 100 - 0.3 * (X - 146)
+    ring, body = abs(np.hypot(x / 26, y / 30) - 1) < 0.25, from_above(60, 130, 50, 50, 0.4)
+    colours = np.where((ring & (X > 140))[..., None], [200, 30, 30], [40, 80, 200])
+    mug = relief(picture(body | ring, colours), count=6000)
+    red = mug.sh[:, 0, 0] > mug.sh[:, 0, 2]
+    handle, wall = mug.means[red], mug.means[~red]
+    assert handle[:, 2].min() > wall[wall[:, 1] < 0, 2].min()
+    assert handle[:, 0].min() > 0.1 and handle[:, 1].min() > 0.1

@@ -35,20 +35,38 @@ class Raised:
         seen = points @ self.turn.T
         return seen[:, :2] / (1 - seen[:, 2:] / self.distance)
 
-    def stand(self, shell: Shell) -> Shell:
+    def meet(self, places: Field, slope: float = 0.0, axis: float = 0.0) -> Field:
+        """Return the upright points [N,3] in a vertical plane at offsets [N,2] from the image's
+        centre.
+
+        In the plane, z is `slope` times the distance to the right of the column `axis` [pixels].
+        """
+        depth = self._depth(places, slope, axis)
+        ahead = np.concatenate(
+            [places * (1 - depth / self.distance)[:, None], depth[:, None]], axis=1
+        )
+        return ahead @ self.turn
+
+    def stand(self, shell: Shell, slope: float = 0.0, axis: float = 0.0) -> Shell:
         """Turn a shell upright; the shell was made for a camera in front of the object.
 
         Each point moves along its view ray, so that the plane through the object's centre becomes
-        vertical.
+        the vertical plane that `meet` describes.
         """
-        x, y, z = shell.points.T
+        z = shell.points[:, 2]
         k = 1 - z / self.distance
-        tangent = np.tan(self.elevation)
-        # The vertical plane through the centre meets the view ray of the point at this z.
-        plane = -y * tangent / (k - y * tangent / self.distance)
-        moved = np.stack([x, y, z], axis=1)
+        plane = self._depth(shell.points[:, :2] / k[:, None], slope, axis)
+        moved = shell.points.copy()
         moved[:, :2] *= ((k - plane / self.distance) / k)[:, None]
         moved[:, 2] += plane
-        normals = shell.normals + shell.normals[:, 2:] * [0.0, tangent, 0.0]
+        lean = [-slope / np.cos(self.elevation), np.tan(self.elevation), 0.0]
+        normals = shell.normals + shell.normals[:, 2:] * lean
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
         return replace(shell, points=moved @ self.turn, normals=normals @ self.turn)
+
+    def _depth(self, places: Field, slope: float, axis: float) -> Field:
+        """Return the depth [N], towards the camera, at which view rays meet a vertical plane."""
+        x, y = places.T
+        sine, cosine = np.sin(self.elevation), np.cos(self.elevation)
+        rise = sine * y - slope * x
+        return -(rise + slope * axis) / (cosine - rise / self.distance)

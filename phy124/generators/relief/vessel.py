@@ -1,20 +1,20 @@
 """Builds the shell of a vessel or a drum, with handles, that was photographed from above."""
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from phy124.generators.relief.colours import clean_picture
 from phy124.generators.relief.elevation import Raised
-from phy124.generators.relief.lathe import Lathe, cut_lathe, find_lathe
-from phy124.generators.relief.parts import inflate_part, keep
-from phy124.generators.relief.shell import DRAWN_IN, Shell, join
+from phy124.generators.relief.handles import Handle, find_handles, handle_shell
+from phy124.generators.relief.height import nearest_of
+from phy124.generators.relief.lathe import cut_lathe, find_lathe
+from phy124.generators.relief.shell import Shell, join
 from phy124.generators.relief.surface import View
 from phy124.generators.relief.upright import Profile, upright_body
 
 Field = NDArray[np.float64]
-JOINT = 4
-"""Handles are extended by this length into the body [pixels]."""
+MARGIN = 3
+"""Width of the strip around a handle in which colours are ignored [pixels]."""
 
 
 def vessel_shell(
@@ -52,30 +52,25 @@ def vessel_shell(
     if lathe is None:
         return None
     front, offset = clean_picture(rgba), profile.axis - float(view.middle[0])
-    handles = object_mask & ~solid
-    part = np.count_nonzero(handles) / np.count_nonzero(object_mask)
-    shell = lathe.shell(round(count * (1 - part)), front, np.array([profile.axis, middle]), offset)
-    if not handles.any():
-        return shell
+    centre = np.array([profile.axis, middle])
+    handles = find_handles(object_mask & ~solid, solid, view, lathe, offset)
+    if not handles:
+        return lathe.shell(count, front, centre, offset)
+    share = np.count_nonzero(object_mask & ~solid) / np.count_nonzero(object_mask)
+    wall = _without(rgba, handles)
     return join(
-        shell, _handles(rgba, handles, view, lathe, offset, front, round(count * part), rng)
+        lathe.shell(round(count * (1 - share)), wall, centre, offset),
+        handle_shell(handles, rgba, front, view, lathe, offset, round(count * share), rng),
     )
 
 
-def _handles(
-    rgba: Field,
-    handles: NDArray[np.bool_],
-    view: View,
-    lathe: Lathe,
-    offset: float,
-    front: Field,
-    count: int,
-    rng: np.random.Generator,
-) -> Shell:
-    """Handles lie in the vertical plane through the vessel's axis."""
-    near = cv2.dilate(handles.astype(np.uint8), np.ones((2 * JOINT + 1,) * 2)) > 0
-    part, _ = inflate_part(np.where(near, rgba[..., 3], 0.0), front, view, count, rng)
-    shell = lathe.camera.stand(part)
-    x, y, z = shell.points.T
-    radii = np.interp(-y, lathe.heights, lathe.radii - DRAWN_IN, left=0, right=0)
-    return keep(shell, np.hypot(x - offset, z) > radii)
+def _without(rgba: Field, handles: list[Handle]) -> Field:
+    """Return the colours of an image [H,W,4] without handles, which would be painted on the wall.
+
+    The near side of a handle hides a strip of the wall next to the roots.
+    """
+    bare = rgba.copy()
+    for handle in handles:
+        half = nearest_of(~handle.mask)[0].max()
+        bare[nearest_of(handle.mask)[0] <= MARGIN + half, 3] = 0
+    return clean_picture(bare)
