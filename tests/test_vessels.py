@@ -12,8 +12,8 @@ from phy124.particles.solid import ACROSS, find_interior
 COUNT = 20_000
 
 
-def cover(mesh):
-    chosen, weights = choose_triangles(np.asarray(mesh.triangles), COUNT, 0)
+def cover(mesh, count=COUNT):
+    chosen, weights = choose_triangles(np.asarray(mesh.triangles), count, 0)
     points = np.einsum("nc,nci->ni", weights, mesh.triangles[chosen])
     return cover_surface(points, mesh.face_normals[chosen], np.ones(3))
 
@@ -60,6 +60,48 @@ def test_noisy_vessel_stays_hollow(rng, voxels):
     mesh = vessel(0.4, 1.0, voxels / ACROSS)
     solid = find_interior(shifted(cover(mesh), 0.1, rng))
     assert solid.volume == pytest.approx(mesh.volume, rel=0.25)
+
+
+def test_vessel_of_thick_gaussians_stays_hollow(rng):
+    mesh = vessel(0.4, 1.0, 3 / ACROSS)
+    flat = cover(mesh)
+    scales = flat.scales * [1, 1, 3] * np.exp(rng.normal(0, 0.4, flat.scales.shape))
+    solid = find_interior(replace(flat, scales=scales.astype(np.float32)))
+    assert solid.volume == pytest.approx(mesh.volume, rel=0.25)
+
+
+def test_narrow_parts_of_an_open_shell_are_filled():
+    ring = cover(trimesh.creation.torus(0.43, 0.07))
+    x, y, z = ring.means.T
+    open_ring = ring.select((x < 0) | (np.abs(y) > 0.04) | (z > 0))
+    volume = 2 * np.pi**2 * 0.43 * 0.07**2
+    assert find_interior(open_ring).volume == pytest.approx(volume, rel=0.05)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_ball_of_few_gaussians_is_filled(seed):
+    normals = np.random.default_rng(seed).normal(size=(300, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    ball = cover_surface(normals / 2, normals, np.ones(3))
+    ball = replace(ball, scales=np.tile(np.float32([0.06, 0.06, 0.015]), (300, 1)))
+    assert find_interior(ball).volume == pytest.approx(np.pi / 6, rel=0.1)
+
+
+def test_box_of_few_gaussians_without_a_front_is_filled():
+    box = cover(trimesh.creation.box((1, 1, 1)), 2000)
+    box = replace(box, scales=np.float32(0.7) * box.scales)
+    assert find_interior(box.select(box.means[:, 0] < 0.48)).volume == pytest.approx(1, rel=0.05)
+
+
+def test_a_cage_is_empty():
+    bars = []
+    for axis, side in np.ndindex(3, 2):
+        for place in np.linspace(-0.5, 0.5, 10):
+            sides = np.roll([0.01, 0.01, 1], axis)
+            centre = np.roll([side - 0.5, place, 0], axis)
+            bars.append(trimesh.creation.box(sides).apply_translation(centre))
+    mesh = trimesh.util.concatenate(bars)
+    assert find_interior(cover(mesh)).volume < 0.03
 
 
 @pytest.mark.parametrize("noise", [pytest.param(0, marks=pytest.mark.slow), 0.3])

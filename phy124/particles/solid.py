@@ -1,7 +1,7 @@
 """Finds the solid that Gaussians enclose, as a filled fraction of each voxel.
 
 The Gaussians may be a shell of flat discs with gaps, a fuzzy cloud, thin sheets, or a mixture. The
-interior is found in four steps:
+interior is found in these steps:
 
 - Each Gaussian is sampled within one standard deviation, at least once per voxel.
 - The grid is flooded from outside; voxels that the flood does not reach are inside. The samples are
@@ -10,8 +10,9 @@ interior is found in four steps:
   stay open. Wide openings are never sealed.
 - If no radius encloses a cavity of more than `CAVITY` times the volume of the surface, the shell is
   open (a missing back or bottom). A voxel is then also inside if axis-parallel rays from the voxel
-  meet the shell in at least five of the six directions. The inside of a vessel whose walls have two
-  sides remains empty (phy124/particles/vessels.py).
+  meet the dilated shell in at least five of the six directions. The inside of a vessel whose walls
+  have two sides remains empty (phy124/particles/vessels.py).
+- An interior that would be bounded mostly by openings, such as that of a cage, remains empty.
 - Only the part of a surface voxel below the local surface belongs to the solid
   (phy124/particles/surface.py).
 
@@ -56,6 +57,8 @@ CAVITY = 0.5
 """Smallest volume of the cavities of a closed shell, relative to the volume of the surface; an open
 shell may have small sealed parts, such as knobs.
 """
+COVERED = 0.5
+"""Smallest fraction of the border of an interior that is surface rather than a sealed opening."""
 CONNECTED = 6
 """A surface or cloud is connected if an occupied voxel has on average at least this number of
 occupied neighbours (of 26).
@@ -294,8 +297,8 @@ def _mean_neighbours(occupied: Mask) -> float:
 def _find_inside(grid: _Voxels) -> tuple[Mask, Mask]:
     """Return the masks of the voxels inside the object and outside."""
     occupied, widest = grid.occupied, max(1, int(SEAL * grid.across))
-    region, least = occupied.copy(), CAVITY * occupied.sum()
-    is_open = True
+    least, is_open = CAVITY * occupied.sum(), True
+    surface = region = occupied
     for r in sorted({1, 2, 3, widest // 2, widest}):
         if r > widest:
             break
@@ -303,13 +306,58 @@ def _find_inside(grid: _Voxels) -> tuple[Mask, Mask]:
         outside = _flood_outside(~thick)
         sealed = ~dilate(outside, r)
         cavity = ~(outside | thick)
-        is_open &= bool(cavity.sum() <= least)
-        region |= sealed if r == 1 else dilate(cavity & ~region, r) & sealed
+        is_closed = bool(cavity.sum() > least)
+        if r == 1:
+            surface = region = sealed
+        elif is_open and is_closed:
+            enclosed = _find_enclosed(_close(occupied, 1)) & ~occupied
+            interior = _grow(cavity, r, sealed, enclosed) & ~surface
+            if not _is_covered(interior, surface):
+                return region, ~region
+            region = region | interior
+        else:
+            region = region | dilate(cavity & ~region, r) & sealed
+        is_open &= not is_closed
     if is_open:
-        cavity = _deep_parts(_find_enclosed(occupied) & ~region)
-        if cavity.sum() > least:
-            region |= _without_vessels(cavity, grid)
+        region = region | _find_open_interior(grid, surface, widest, least)
     return region, ~region
+
+
+def _find_open_interior(grid: _Voxels, surface: Mask, widest: int, least: float) -> Mask:
+    """Return the interior of an open shell.
+
+    Rays pass through the gaps of a shell of few Gaussians, unless the shell is dilated.
+    """
+    enclosed = _find_enclosed(_close(grid.occupied, 1))
+    if _deep_parts(enclosed & ~surface).sum() > least:
+        for r in range(1, widest + 1):
+            thick = dilate(grid.occupied, r)
+            cavity = _deep_parts(_find_enclosed(thick) & ~thick & ~surface)
+            sealed = ~dilate(~(thick | cavity), r)
+            interior = _grow(cavity, r, sealed, enclosed & ~grid.occupied) & ~surface
+            if _is_covered(interior, surface):
+                return _without_vessels(interior, grid)
+    return np.zeros_like(surface)
+
+
+def _grow(cavity: Mask, radius: int, sealed: Mask, enclosed: Mask) -> Mask:
+    """Return a cavity with the parts of the interior that are closer than `radius` to the surface.
+
+    A dilation reaches only the surface of wide parts. In narrow parts, such as legs, the interior
+    is enclosed and connected to the cavity.
+    """
+    return _select_parts(sealed & enclosed, cavity) | dilate(cavity, radius) & sealed
+
+
+def _is_covered(interior: Mask, surface: Mask) -> bool:
+    """Return whether a surface covers at least the fraction `COVERED` of an interior's border."""
+    border = scipy.ndimage.binary_dilation(interior) & ~interior
+    return bool((border & surface).sum() >= COVERED * border.sum())
+
+
+def _close(mask: Mask, radius: int) -> Mask:
+    """Return a mask without gaps of width up to 2 `radius` (morphological closing)."""
+    return ~dilate(~dilate(mask, radius), radius)
 
 
 def _flood_outside(free: Mask) -> Mask:
@@ -317,11 +365,11 @@ def _flood_outside(free: Mask) -> Mask:
     return labels == labels[0, 0, 0]
 
 
-def _find_enclosed(occupied: Mask) -> Mask:
-    hits = np.zeros(occupied.shape, np.uint8)
+def _find_enclosed(surface: Mask) -> Mask:
+    hits = np.zeros(surface.shape, np.uint8)
     for axis in range(3):
-        hits += np.logical_or.accumulate(occupied, axis=axis)
-        back = np.flip(occupied, axis)
+        hits += np.logical_or.accumulate(surface, axis=axis)
+        back = np.flip(surface, axis)
         hits += np.flip(np.logical_or.accumulate(back, axis=axis), axis)
     return hits >= 5
 
@@ -331,11 +379,16 @@ def _deep_parts(mask: Mask) -> Mask:
 
     Discs at the rim of a plate may enclose a layer above the plate.
     """
+    return _select_parts(mask, ~dilate(~mask, 1))
+
+
+def _select_parts(mask: Mask, seeds: Mask) -> Mask:
+    """Return the connected parts of a mask that contain a seed."""
     labels, count = scipy.ndimage.label(mask)  # pyright: ignore
-    deep = np.zeros(count + 1, bool)
-    deep[labels[~dilate(~mask, 1)]] = True
-    deep[0] = False
-    parts: Mask = deep[labels]
+    chosen = np.zeros(count + 1, bool)
+    chosen[labels[seeds]] = True
+    chosen[0] = False
+    parts: Mask = chosen[labels]
     return parts
 
 

@@ -2,7 +2,8 @@
 
 A wall, such as that of a cup, has Gaussians on both sides. A shell has one layer of Gaussians with
 some noise. The heights of neighbours along a normal, relative to a fitted paraboloid, therefore
-form two clusters at a wall, but a single cluster at a shell.
+form two clusters at a wall, but a single cluster at a shell. The normal of a Gaussian that is not
+flat is fitted to its neighbours.
 """
 
 from __future__ import annotations
@@ -17,6 +18,10 @@ Array = NDArray[Any]
 
 COUNTS = (32, 128, 512)
 """Numbers of neighbours that are examined; thick walls need many neighbours."""
+PATCH = 0.125
+"""Largest fraction of all Gaussians that are examined together; more would lie on opposite sides of
+the object.
+"""
 PARALLEL = 0.8
 """Smallest cosine of the angle between the normals of neighbours."""
 APART = 5.0
@@ -45,16 +50,29 @@ def is_vessel(means: Array, normals: Array, near: Array) -> bool:
     count = min(COUNTS[-1], len(places))
     distance, neighbours = scipy.spatial.KDTree(places).query(means[chosen], count)
     arms = places[neighbours] - means[chosen][:, None]
-    normal = normals[chosen]
-    aligned = np.abs(np.einsum("mki,mi->mk", axes[neighbours], normal)) > PARALLEL
-    aside = (arms**2).sum(axis=2) - np.einsum("mki,mi->mk", arms, normal) ** 2
+    around, squares = axes[neighbours], (arms**2).sum(axis=2)
+    is_flat = np.asarray(around.any(axis=2))
     two_sided = np.zeros(len(chosen), bool)
-    for k in COUNTS:
+    for k in [k for k in COUNTS if k <= max(PATCH * len(places), COUNTS[0])]:
+        normal = _find_normals(arms[:, :k], normals[chosen])
+        cosine = np.abs(np.einsum("mki,mi->mk", around[:, :k], normal))
+        aside = squares[:, :k] - np.einsum("mki,mi->mk", arms[:, :k], normal) ** 2
         # In a cylinder, both sides of a wall have equally many Gaussians.
-        fits = aligned[:, :k] & (aside[:, :k] < distance[:, :k][:, -1:] ** 2 / 2)
+        fits = (cosine > PARALLEL) | ~is_flat[:, :k]
+        fits &= aside < distance[:, :k][:, -1:] ** 2 / 2
         heights = _heights_above_paraboloid(arms[:, :k], normal, fits)
         two_sided |= _have_two_clusters(heights, fits)
     return float(two_sided.mean()) > 0.5
+
+
+def _find_normals(arms: Array, normals: Array) -> Array:
+    """Return the normals [M,3]; instead of a zero vector, return the direction in which the
+    neighbours [M,K,3] vary least.
+    """
+    centred = arms - arms.mean(axis=1, keepdims=True)
+    _, axes = np.linalg.eigh(np.einsum("mki,mkj->mij", centred, centred))
+    result: Array = np.where(np.asarray(normals.any(axis=1))[:, None], normals, axes[:, :, 0])
+    return result
 
 
 def _heights_above_paraboloid(arms: Array, normal: Array, fits: NDArray[np.bool_]) -> Array:
