@@ -34,6 +34,7 @@ ROOT = Path(__file__).parents[1]
 GOLDEN = Path(os.environ.get("PHY124_GOLDEN", ROOT / "../shared/golden"))
 OBJECTS = Path(os.environ.get("PHY124_OBJECTS", ROOT / "../shared/objects"))
 EXAMPLES = sorted((ROOT / "demo/examples").glob("*.png"))
+IMPORTED = pytest.StashKey[frozenset[str]]()
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -42,8 +43,9 @@ def pytest_collection() -> None:
     gc.disable()
 
 
-def pytest_collection_finish() -> None:
+def pytest_collection_finish(session: pytest.Session) -> None:
     """From here on garbage is collected again, but not looked for among what was imported."""
+    session.config.stash[IMPORTED] = frozenset(sys.modules)
     gc.freeze()
     gc.enable()
 
@@ -134,6 +136,12 @@ def gpu(request, monkeypatch) -> str:
         pytest.skip("this machine has no CUDA device (--device cpu rehearses)")
     monkeypatch.setattr("phy124.mpm.solver.usable", lambda device: True)
     return name
+
+
+@pytest.fixture(scope="session")
+def imported_by_collecting(request) -> frozenset[str]:
+    """Names of the modules that are imported before the first test."""
+    return request.config.stash[IMPORTED]
 
 
 @pytest.fixture(scope="session")

@@ -25,6 +25,8 @@ from phy124.scene import PRESETS, Scene
 from phy124.simulation.bodies import proportions_of
 from support.shapes import ball
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 ROOT = Path(promises.__file__).parents[2]
 USUAL = Proportions(0.3, 0.3)
 COMPRESSIBLE = {"accuracy": {"cells": 48, "liquid": "compressible"}}

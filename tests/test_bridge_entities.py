@@ -10,12 +10,16 @@ from bridge.steering.entities import INVALID_POSE, Code
 from bridge.steering.loop import contact_messages
 from bridge.steering.standard import Feature, Standard
 from support.ros_double import JAZZY
+from support.solids import coarse
 from support.steered import EPOCH, OPTIONS, WEIGHTLESS, header, steered, transform, triple
+
+pytestmark = pytest.mark.usefixtures("coarse_solids")
 
 
 @pytest.fixture(scope="module")
 def run():
-    made = steered(changes=WEIGHTLESS)
+    with coarse():
+        made = steered(changes=WEIGHTLESS)
     made.advance()
     return made
 

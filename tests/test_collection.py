@@ -39,6 +39,11 @@ def test_no_test_file_imports_another():
     assert not {name: lines for name, lines in named.items() if lines}
 
 
+def test_no_test_file_imports_gradio(imported_by_collecting):
+    """Every test process would import it, which takes seconds: the fixture `gradio` does it."""
+    assert "gradio" not in imported_by_collecting
+
+
 CLOSE = ("allclose", "isclose", "assert_allclose")
 """Functions that add a relative tolerance of 1e-5 or 1e-7 to `atol`, unless `rtol` is given."""
 

@@ -16,6 +16,8 @@ from phy124.simulation import Simulation, prepare
 from support.repeated import REPEATED
 from support.shapes import ball
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 IDENTITY = np.eye(3)
 
 

@@ -14,7 +14,6 @@ from demo.fits.jobs import Fits
 from demo.fits.search import PLAN, in_words, outlook, progress
 from demo.fits.video import Seen, read_video
 from demo.forecast import Estimator
-from demo.handlers.fit import summarise
 from demo.jobs import Studio
 from demo.settings import Settings
 from demo.visitors import Room, Visitors
@@ -302,7 +301,9 @@ def test_no_sentence_of_a_refusal_names_a_command_line_option():
         assert "--" not in str(in_words(error))
 
 
-def test_a_fit_on_a_single_grid_claims_no_corrected_error():
+def test_a_fit_on_a_single_grid_claims_no_corrected_error(gradio):
+    from demo.handlers.fit import summarise
+
     shown = {**FIT["pictures"], "was": {"material.E": 4e4}, "laid": None}
     report = {**FIT, "runs": [9], "seconds": 1.0, "pictures": shown}
     assert "After correction of the grid error" in " ".join(summarise(report))

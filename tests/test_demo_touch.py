@@ -26,6 +26,8 @@ from phy124.scene import Scene
 from phy124.simulation import Stopped
 from support import touching
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 ORDER = SimpleNamespace(gaussians=1000, scene=SimpleNamespace(names=["object"]))
 ME, OTHER = "a" * 32, "b" * 32
 HOME = {"origin": "http://testserver"}

@@ -8,6 +8,8 @@ from phy124.rendering.fragments import BROKEN, Fragments
 from phy124.rendering.shine import add_gloss, make_shine
 from support.shapes import ball
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 TURN = Rotation.from_rotvec([0.3, -0.5, 0.4]).as_matrix()
 
 

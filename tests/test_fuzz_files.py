@@ -17,6 +17,7 @@ from phy124.simulation import Simulation, prepare
 from support.hostile import cut, flip
 from support.processes import run_program
 from support.shapes import ball
+from support.solids import coarse
 
 pytestmark = pytest.mark.usefixtures("coarse_solids")
 
@@ -61,7 +62,9 @@ def samples(tmp_path_factory) -> dict[str, bytes]:
     folder = tmp_path_factory.mktemp("samples")
     write_ply(folder / "object.ply", ball(150))
     scene = Scene().replaced({"accuracy": {"cells": 6}, "time.frames": 2})
-    Simulation(prepare(ball(150), scene)).run().save(folder / "clip.safetensors")
+    with coarse():
+        run = Simulation(prepare(ball(150), scene))
+    run.run().save(folder / "clip.safetensors")
     y, x = np.mgrid[:48, :48]
     disc = (((x - 24) ** 2 + (y - 24) ** 2) < 300)[..., None] * np.uint8([200, 90, 40, 255])
     png, jpeg = io.BytesIO(), io.BytesIO()

@@ -15,6 +15,8 @@ from phy124.generators.ply_file import Reading
 from phy124.io.ply import write_ply
 from support.shapes import ball
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 PICTURE = Image.fromarray(np.full((40, 30, 4), 200, np.uint8))
 
 

@@ -3,12 +3,16 @@
 import shutil
 from pathlib import Path
 
+import pytest
+
 from phy124 import pipeline
 from phy124.__main__ import main
 from phy124.errors import Cancelled
 from phy124.io.ply import write_ply
 from phy124.scene import Scene
 from support.shapes import ball
+
+pytestmark = pytest.mark.usefixtures("coarse_solids")
 
 DUCK = Path(__file__).parents[1] / "demo/examples/duck.png"
 OPTIONS = [

@@ -15,11 +15,16 @@ from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
 from support.runs import TORN, resumed
 from support.shapes import ball
+from support.solids import coarse
+
+pytestmark = pytest.mark.usefixtures("coarse_solids")
 
 
 @pytest.fixture(scope="module")
 def torn():
-    run = Simulation(prepare(ball(400), Scene.named("drop").replaced(TORN), RunContext(threads=1)))
+    scene = Scene.named("drop").replaced(TORN)
+    with coarse():
+        run = Simulation(prepare(ball(400), scene, RunContext(threads=1)))
     return run, run.run()
 
 

@@ -10,6 +10,8 @@ from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
 from phy124.studies.validation.bodies import surface_of_ball
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 ALONE = {"accuracy": {"cells": 6, "solver": "lattice"}}
 SAND = {"name": "sand", "shape": "box", "sides": [1.0, 1.0, 1.0], "material": {"law": "sand"}}
 WATER = {**SAND, "name": "water", "material": {"law": "fluid"}}

@@ -13,6 +13,8 @@ from phy124.scene.lattices import choose_solver, keep_lattice, reason_for_mpm
 from phy124.simulation import Simulation, prepare
 from support.shapes import ball
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 SAND = {"name": "sand", "shape": "box", "sides": [1.0, 1.0, 1.0], "material": {"law": "sand"}}
 SOLID = {"name": "hammer", "shape": "sphere", "size": 0.5, "place": [3.0, 0.0]}
 FAST = {"kind": "swing", "amplitude": (0, 0, 1.0), "frequency": 20.0}

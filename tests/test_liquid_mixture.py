@@ -20,6 +20,8 @@ from phy124.schema.region import Region
 from phy124.simulation import Simulation, prepare
 from support.liquids import DENSITY, TANK, G, block, field, heights, pool, run
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 OIL = 0.8 * DENSITY
 NARROW = Container(inside=Region(lower=(0, 0, 0), upper=(1, 0.25, 1e9)), contact="slip")
 

@@ -16,6 +16,9 @@ from phy124.simulation import Simulation, prepare
 from phy124.simulation.materials import assign_materials
 from support.runs import resumed
 from support.shapes import ball
+from support.solids import coarse
+
+pytestmark = pytest.mark.usefixtures("coarse_solids")
 
 COUNT = 300
 NAMES = ("means", "quats", "scales", "opacities", "sh")
@@ -45,7 +48,8 @@ def drop(changes: dict) -> Scene:
 @pytest.fixture(scope="module")
 def pair() -> Simulation:
     """A ball falls, the other hangs beside it."""
-    return Simulation(prepare(two_balls(), drop(PAIR | STATIC)))
+    with coarse():
+        return Simulation(prepare(two_balls(), drop(PAIR | STATIC)))
 
 
 @pytest.fixture(scope="module")

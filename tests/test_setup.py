@@ -13,6 +13,8 @@ from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
 from support.shapes import ball
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 QUICK = {"accuracy": {"cells": 8}, "time.frames": 4}
 
 

@@ -10,6 +10,8 @@ from phy124.simulation import Simulation, prepare, spent
 from phy124.simulation.spent import Spent
 from support.shapes import ball
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 
 def run(**changes) -> Simulation:
     quick = {"accuracy": {"cells": 8}, "time.frames": 4, "time.budget": 60.0}

@@ -26,6 +26,8 @@ from phy124.simulation import Simulation, prepare
 from support.clips import flight
 from support.shapes import ball
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 STUDIO = View(stage="studio", background=(0.8, 0.82, 0.85))
 HERE = Frame(0, 0.0, ball(500))
 

@@ -14,6 +14,8 @@ from phy124.studies.validation.bodies import make_solver
 from support.bars import AT, DX, PULL, WIDTH, E, bar, length, pulled, stretch
 from support.shapes import ball
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 
 def test_halves_in_series_add_their_compliances():
     fraction = np.where(bar()[:, 2] > 0.5, 0.25, 1.0)

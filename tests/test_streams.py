@@ -11,6 +11,8 @@ from bridge.__main__ import main as bridge
 from phy124.runtime.streams import steady_streams
 from support.clips import random_clip
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 FOREIGN = {"PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0", "LC_ALL": "C"}
 PHY124 = f"{sys.executable} -m phy124"
 BRIDGE = f"{sys.executable} -m bridge"

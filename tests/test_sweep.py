@@ -25,7 +25,10 @@ from phy124.studies.sweep.storage import Storage, list_matching
 from support.pages import ROOT, blocks
 from support.processes import clips_of
 from support.shapes import ball
+from support.solids import coarse
 from support.sweeps import declared, write_balls
+
+pytestmark = pytest.mark.usefixtures("coarse_solids")
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +40,8 @@ def balls(tmp_path_factory) -> Path:
 def made(balls, tmp_path_factory):
     """A small sweep, whole."""
     out = tmp_path_factory.mktemp("sweep") / "out"
-    counts = run(Plan(declared(balls)), str(out), workers=0)
+    with coarse():
+        counts = run(Plan(declared(balls)), str(out), workers=0)
     assert counts.ended == {"done": 6} and counts.here == 0
     return out
 

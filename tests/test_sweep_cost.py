@@ -17,6 +17,8 @@ from phy124.studies.sweep.storage import Storage
 from phy124.studies.sweep.work import needs_of, write_row
 from support.sweeps import declared, write_balls
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 
 @pytest.fixture(scope="module")
 def balls(tmp_path_factory) -> Path:

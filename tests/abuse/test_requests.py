@@ -11,7 +11,6 @@ import pytest
 from attacker import Attacker
 
 from demo.folder import LOCK
-from demo.panels import MARK
 from phy124.scene import Scene
 from support.served import ROOT, TIMEOUT, serving
 
@@ -49,6 +48,8 @@ REFUSED: dict[str, tuple[str, str, list[Any], dict[str, Any]]] = {
     "fit": ("fit", "begin", [None, {}], {"upload": "/no"}),
 }
 """Requests that are refused at once: panel, event, inputs, data."""
+MARK = "mark"
+"""demo.panels.MARK; importing that module, and Gradio with it, takes each test process seconds."""
 
 
 @pytest.mark.parametrize("kind", REFUSED)
