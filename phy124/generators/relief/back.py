@@ -169,7 +169,7 @@ def _texture(
     middles = tuple((places + PATCH // 2).T)
     strength = cv2.boxFilter((fine**2).sum(axis=2), -1, (PATCH, PATCH))[middles]
     quiet = strength <= np.quantile(strength, QUIET)
-    places, colours = places[quiet], coarse[middles][quiet]
+    places, colours = places[quiet], np.ascontiguousarray(coarse[middles][quiet].T)
     gains = np.minimum(1.0, STRONG / np.sqrt(strength[quiet] + 1e-9))
     total, weights = np.zeros_like(picture), np.full((height, width), 1e-6)
     for row in range(-STEP, height, STEP):
@@ -179,7 +179,7 @@ def _texture(
             if not inside[top:bottom, left:right].any():
                 continue
             middle = min(max(row + STEP, 0), height - 1), min(max(column + STEP, 0), width - 1)
-            far = ((colours - smooth[middle]) ** 2).sum(axis=1)
+            far = ((colours - smooth[middle][:, None]) ** 2).sum(axis=0)
             alike = np.argpartition(far, min(ALIKE, len(far) - 1))[:ALIKE]
             chosen = rng.choice(alike)
             y, x = places[chosen]
