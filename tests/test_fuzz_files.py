@@ -89,7 +89,7 @@ def arguments_for(name: str, folder: Path) -> list[str]:
     if name.endswith(".safetensors"):
         return ["render", path, "--views", "front", "--size", "16", *out]
     method = ["--foreground", "grabcut"] if name.endswith(".jpg") else []  # loads no network
-    return ["generate", path, *QUICK, *method, *out]
+    return ["generate", path, "--gaussians", "500", *QUICK, *method, *out]
 
 
 def damaged(name: str, samples: dict[str, bytes], folder: Path, seed: int) -> list[str]:

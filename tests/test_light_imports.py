@@ -35,24 +35,43 @@ def imported_after(code: str) -> list[str]:
     return done.stdout.split()
 
 
-@pytest.mark.parametrize(
-    ("code", "absent"),
-    [
-        ("import phy124; phy124.__all__, dir(phy124)", LIBRARIES | {"tqdm", "imageio"}),
-        ("import phy124, phy124.__main__, phy124.commands", LIBRARIES | {"tyro", "safetensors"}),
-        ("import phy124.scene, phy124.generators", HEAVY | SCIPY | {"cv2", "scipy"}),
-        ("from phy124.commands import fit, generate, sweep", HEAVY | SCIPY),
-        ("from phy124 import metrics; from phy124.imaging import u2net; " + WEIGHTS, HUB),
-        (f"import phy124, {BRIDGE}", HEAVY | {"cyclonedds", "foxglove", "warp", "tyro"}),
-        (MAIN + "main(['--help'])", LIBRARIES),
-        (MAIN + "main(['weights'])", HEAVY | {"warp", "scipy", "cv2"}),
-    ],
+STAGES = (
+    ("import phy124; phy124.__all__, dir(phy124)", LIBRARIES | {"tqdm", "imageio"}),
+    ("import phy124, phy124.__main__, phy124.commands", LIBRARIES | {"tyro", "safetensors"}),
+    (MAIN + "main(['--help'])", LIBRARIES),
+    (MAIN + "main(['weights'])", HEAVY | {"warp", "scipy", "cv2"}),
+    ("import phy124.scene, phy124.generators", HEAVY | SCIPY | {"cv2", "scipy"}),
+    ("from phy124.commands import fit, generate, sweep", HEAVY | SCIPY),
+    ("from phy124 import metrics; from phy124.imaging import u2net; " + WEIGHTS, HUB),
 )
-def test_importing_is_light(code, absent):
+"""Code, and what neither it nor the code before it imports: one process runs them all."""
+
+
+@pytest.fixture(scope="module")
+def imported() -> dict[str, set[str]]:
+    """The names of the imported modules after each stage."""
+    codes = [code for code, _ in STAGES]
+    program = (
+        "import contextlib, sys\n"
+        f"for code in {codes!r}:\n"
+        "    with contextlib.suppress(SystemExit):\n"
+        "        exec(code)\n"
+        "    print(*sys.modules, file=sys.stderr)\n"
+    )
+    run = run_program([sys.executable, "-c", program], check=True)
+    return dict(zip(codes, map(set, map(str.split, run.stderr.splitlines())), strict=True))
+
+
+@pytest.mark.parametrize(("code", "absent"), STAGES)
+def test_importing_is_light(imported, code, absent):
     """Neither a package nor a command pulls in what only others need."""
-    code = f"import atexit, sys; atexit.register(lambda: print(*sys.modules)); {code}"
-    run = run_program([sys.executable, "-c", code], check=True)
-    assert absent & set(run.stdout.split()) == set()
+    assert absent & imported[code] == set()
+
+
+def test_importing_the_bridge_is_light():
+    run = run_program([sys.executable, "-c", f"import phy124, {BRIDGE}, sys; print(*sys.modules)"])
+    absent = HEAVY | {"cyclonedds", "foxglove", "warp", "tyro"}
+    assert run.returncode == 0 and absent & set(run.stdout.split()) == set(), run.stderr
 
 
 def test_scipy_is_imported_without_test_helpers() -> None:

@@ -23,15 +23,20 @@ from phy124.simulation import Simulation, prepare
 from support.processes import until
 from support.runs import RESULTS, SCENE, WITH, copied_at, names, same
 from support.shapes import ball
+from support.solids import coarse
 
-pytestmark = pytest.mark.skipif(os.name == "nt", reason="no locks, so nothing is recorded")
+pytestmark = [
+    pytest.mark.usefixtures("coarse_solids"),
+    pytest.mark.skipif(os.name == "nt", reason="no locks, so nothing is recorded"),
+]
 
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory) -> Path:
     """The folder of a run that nothing ended."""
     out = tmp_path_factory.mktemp("whole") / "run"
-    pipeline.simulate(ball(300), SCENE, out)
+    with coarse():
+        pipeline.simulate(ball(300), SCENE, out)
     return out
 
 
@@ -252,6 +257,7 @@ def test_a_pause_stays_if_the_run_that_goes_on_fails(tmp_path, every_frame, whol
     same(whole, tmp_path / "cut")
 
 
+@pytest.mark.slow
 def test_kill_9_leaves_the_frames_and_the_command_goes_on(tmp_path):
     write_ply(tmp_path / "ball.ply", ball(800))
     options = ["--set", "accuracy.cells=8", "--frames", "40", "--size", "32", "--views", "front"]
