@@ -261,8 +261,8 @@ def test_without_frames_the_preset_says_how_long_it_is(client, file):
     from phy124.scene import Scene
 
     quick = {"view.size": 16, "material.E": 1e4}
-    options = {"preset": "press", "frames": None, "changes": {**FEW, **quick}}
-    assert generate(client, file, **options)[1]["frames"] == Scene.named("press").time.frames
+    options = {"preset": "push_right", "frames": None, "changes": {**FEW, **quick}}
+    assert generate(client, file, **options)[1]["frames"] == Scene.named("push_right").time.frames
 
 
 def test_endpoints_equal_the_snapshot(client):

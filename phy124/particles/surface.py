@@ -248,10 +248,11 @@ def _find_faces_around(faces: _Faces, border: Mask) -> _Near:
     away = np.where(is_own, -1, np.inf)
     for step in AROUND:
         other = table[np.ravel_multi_index(tuple((corner + step - 1).T), border.shape)]
-        arm = faces.middle[other] - (corner + 0.5)[:, None]
-        distance = np.where(other >= 0, np.linalg.norm(arm, axis=2), np.inf)
-        nearer = distance < away
-        number[nearer], away[nearer] = other[nearer], distance[nearer]
+        row, side = np.nonzero((other >= 0) & ~is_own)
+        distance = np.linalg.norm(faces.middle[other[row, side]] - (corner[row] + 0.5), axis=1)
+        nearer = distance < away[row, side]
+        at = row[nearer], side[nearer]
+        number[at], away[at] = other[at], distance[nearer]
     thick = faces.thick + np.where(faces.is_opposed, 0, THICKEST)
     thick = np.minimum(thick[number], 1e3) * np.where(is_own, PREFERRED, 1)
     worth = np.where(is_own, faces.samples[number], -away) - 1e6 * thick
