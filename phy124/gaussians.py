@@ -251,12 +251,16 @@ class Particles:
     """Surface points of bodies on lattices [S,8], or None: position [m], outward normal, object
     index, and 1 if the point is a Gaussian outside the material.
     """
-    copies: NDArray[np.int8] | None = None
+    copies: NDArray[np.integer] | None = None
     """For each cell of a lattice, the copies of its 27 nodes that the cell uses [C,27]; None: no
     node has copies (phy124/particles/pieces.py).
     """
     cell: NDArray[np.int64] | None = None
     """If each particle stands for a cell of a lattice: the index of the cell [P]."""
+    piece: NDArray[np.int32] | None = None
+    """Separate piece of its object to which each particle belongs [P]; None: objects of one piece
+    (phy124/particles/islands.py).
+    """
 
     def __len__(self) -> int:
         return len(self.x)

@@ -79,7 +79,7 @@ def bodies_of_many_tests_are_set_up_once() -> Iterator[None]:
     """Tests simulate few bodies again and again; their set-up takes longer than their motion."""
     from phy124.particles import lattice, solid, thickness
 
-    cached = ((lattice, "_lattice_of"), (thickness, "compliance"), (thickness, "local_thickness"))
+    cached = ((lattice, "_lattices_of"), (thickness, "compliance"), (thickness, "local_thickness"))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(solid, "MEMORY", 4 * solid.MEMORY)
         for module, name in cached:

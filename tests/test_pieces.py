@@ -104,10 +104,11 @@ def test_thin_slanted_sheet_stays_whole():
     assert points(sheet).copies is None
 
 
-def test_parts_that_nothing_connects_keep_common_nodes():
-    prongs = fork(root=0)
-    assert points(prongs).copies is None
-    assert points(fork(root=2)).copies.max() == 1
+@pytest.mark.parametrize("root", [0, 2], ids=["unconnected", "connected"])
+def test_prongs_have_separate_nodes(root):
+    prongs = points(fork(root=root))
+    assert prongs.copies.max() == 1
+    assert (prongs.piece is None) == (root > 0)
 
 
 def test_cell_with_two_pieces_has_points_for_each():

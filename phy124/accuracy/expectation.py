@@ -49,6 +49,7 @@ SOLID = Proportions(thickness=1.0, compliance=0.1)
 """Proportions of a thick object."""
 UNKNOWN = "an object of unknown proportions"
 """Kind of a scene whose object does not exist yet."""
+SEPARATE = "an object of several separate pieces"
 STIFFEST, SOFTEST = 0.02, 100.0
 """Smallest and largest compliance between which the error depends on the compliance."""
 
@@ -162,6 +163,8 @@ def expect(
         return Expectation(None, f"{such} {outside}")
     if proportions is None:
         return Expectation(None, UNKNOWN)
+    if proportions.pieces > 1:
+        return Expectation(None, SEPARATE)
     # The predicted error is never smaller than on the finest measured grid.
     finest = measured["cells"][1]
     grids = [

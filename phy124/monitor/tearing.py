@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from phy124.gaussians import Frame
 from phy124.kernels.diagnostics import make_apart
 from phy124.monitor.diagnostics import describe_particle
-from phy124.monitor.observer import Effect, Observer, Subject
+from phy124.monitor.observer import Effect, Observed, Observer, Subject
 
 if TYPE_CHECKING:
     from phy124.liquid import AnySolver
@@ -74,6 +74,15 @@ class Tearing(Observer):
         """
         self.loose = 0
         """Largest number of separated particles in a frame."""
+        self._separate: NDArray[np.int32] | None = None
+        """Separate piece of its object to which each particle belongs [P]."""
+
+    @classmethod
+    def of(cls, setup: Observed) -> Tearing:
+        """Return the observer of a run; separate pieces of an object may move apart."""
+        observer = cls()
+        observer._separate = setup.particles.piece
+        return observer
 
     @classmethod
     def called_for(cls, subject: Subject) -> bool:
@@ -116,12 +125,17 @@ class Tearing(Observer):
         self._pieces = Pieces(model.rest[self._chosen], REACH * model.dx, self._bodies())
 
     def _bodies(self) -> NDArray[np.int64] | None:
-        model = self._model
-        if model.bodies == 1:
+        """Return the number of each elastic particle's separate piece among those of all objects
+        [P]; None: a single object of one piece.
+        """
+        model, separate = self._model, self._separate
+        if model.bodies == 1 and separate is None:
             return None
         body = np.empty(len(model), np.int64)
         for group in model.groups:
             body[group.particles] = group.body
+        if separate is not None:
+            body = body * (int(separate.max()) + 1) + separate
         return body[self._chosen]
 
     @property
@@ -183,8 +197,8 @@ class Tearing(Observer):
 class Pieces:
     """Groups of particles that are connected at rest.
 
-    Particles in one cube, or in cubes that touch, are connected; particles of different objects are
-    not.
+    Particles in one cube, or in cubes that touch, are connected; particles of different objects, or
+    of separate pieces of an object, are not.
     """
 
     def __init__(self, rest: NDArray, side: float, object_id: NDArray | None = None) -> None:
@@ -193,7 +207,8 @@ class Pieces:
         Args:
             rest: Positions at rest [P,3], m.
             side: Side of a cube [m].
-            object_id: Object of each particle [P]; None: a single object.
+            object_id: Object, or separate piece of an object, of each particle [P]; None: all
+                particles belong to a single object.
         """
         self._side, self._object = side, object_id
         self._body = labels(self._spread(rest), side)

@@ -64,24 +64,56 @@ def lattice_of(solid: Solid, *, density: float, dx: float, parts: Parts | None =
     if solid.volume / dx**3 * PER_CELL > MAX_PARTICLES:
         limit = f"the object would need more than {MAX_PARTICLES:,} integration points."
         raise TooFine("accuracy.cells", f"{dx:.3g} m per cell", limit, "Choose fewer cells.")
-    points, subdivided, cell = _lattice_of(solid, dx)
-    if parts is not None:
-        moving = ~parts.static[parts.find(points.x.reshape(-1, PER_CELL, 3).mean(axis=1))]
-        if 0 < moving.sum() < len(moving):
-            # The last entry is for voxels without a cell.
-            rows = _cut_surface(subdivided, np.append(moving, False)[cell], dx)
-            assert points.surface is not None
-            protrusions = points.surface[points.surface[:, 7] > 0]
-            protrusions = protrusions[~parts.static[parts.find(protrusions[:, :3])]]
-            points = replace(points, surface=np.concatenate([rows, protrusions]))
-        points = divide_cells(points, subdivided, cell, parts, dx)
+    pieces = []
+    for points, subdivided, cell in _lattices_of(solid, dx):
+        if parts is not None:
+            points = _cut_to_moving(points, subdivided, cell, parts, dx)
+            points = divide_cells(points, subdivided, cell, parts, dx)
+        pieces.append(points)
+    points = pieces[0] if len(pieces) == 1 else _join(pieces)
     return replace(points, density=np.full(len(points), float(density)))
 
 
 @lru_cache(MEMORY)
+def _lattices_of(solid: Solid, dx: float) -> list[tuple[Particles, Solid, NDArray[np.int64]]]:
+    """Return, for each separate piece, its points, its solid with voxels no larger than a cell, and
+    each voxel's cell [V].
+    """
+    return [_lattice_of(_subdivide(piece, dx), dx) for piece in solid.split(dx)]
+
+
+def _cut_to_moving(
+    points: Particles, solid: Solid, cell: NDArray[np.int64], parts: Parts, dx: float
+) -> Particles:
+    """Return the points without the surface points of static parts."""
+    moving = ~parts.static[parts.find(points.x.reshape(-1, PER_CELL, 3).mean(axis=1))]
+    if moving.all() or not moving.any():
+        return points
+    # The last entry is for voxels without a cell.
+    rows = _cut_surface(solid, np.append(moving, False)[cell], dx)
+    assert points.surface is not None
+    protrusions = points.surface[points.surface[:, 7] > 0]
+    protrusions = protrusions[~parts.static[parts.find(protrusions[:, :3])]]
+    return replace(points, surface=np.concatenate([rows, protrusions]))
+
+
+def _join(pieces: list[Particles]) -> Particles:
+    """Join separate pieces, which use different copies of common nodes."""
+    copies, first = [], 0
+    for piece in pieces:
+        empty = np.zeros((len(piece) // PER_CELL, 27), np.int16)
+        copies.append(first + (empty if piece.copies is None else piece.copies.astype(np.int16)))
+        first = int(copies[-1].max()) + 1
+    arrays = {
+        name: np.concatenate([getattr(piece, name) for piece in pieces])
+        for name in ("x", "volume", "density", "material", "gaussian", "surface")
+    }
+    counts = [len(piece) for piece in pieces]
+    number = np.repeat(np.arange(len(pieces), dtype=np.int32), counts)
+    return Particles(**arrays, copies=np.concatenate(copies), piece=number)
+
+
 def _lattice_of(solid: Solid, dx: float) -> tuple[Particles, Solid, NDArray[np.int64]]:
-    """Return the points, the solid with voxels no larger than a cell, and each voxel's cell [V]."""
-    solid = _subdivide(solid, dx)
     cells = _find_cells(solid, dx)
     x, volume, copies, cell = _points_of_pieces(solid, dx, cells)
     count = len(x)
@@ -131,6 +163,7 @@ def cells_of(points: Particles) -> Particles:
         material=points.material[::PER_CELL],
         gaussian=points.gaussian[::PER_CELL],
         cell=np.arange(len(centre)),
+        piece=None if points.piece is None else points.piece[::PER_CELL],
     )
 
 
@@ -148,6 +181,7 @@ def points_of(cells: Particles, points: Particles) -> Particles:
         body=None if cells.body is None else np.repeat(cells.body, PER_CELL),
         surface=points.surface,
         copies=None if points.copies is None else points.copies[cell],
+        piece=None if cells.piece is None else np.repeat(cells.piece, PER_CELL),
     )
 
 

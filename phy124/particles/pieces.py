@@ -5,8 +5,9 @@ gets integration points, and each connected piece in the support of a node gets 
 (phantom nodes of Hansbo and Hansbo 2004, doi 10.1016/j.cma.2003.12.041; Nesme, Kry, Jerabkova and
 Faure 2009, doi 10.1145/1531326.1531358).
 
-Voxels are connected by faces, edges and corners, so that a thin slanted sheet stays whole. Parts
-without connection to the body, such as specks, share the body's nodes.
+Voxels are connected by faces, edges and corners, so that a thin slanted sheet stays whole. Specks
+without connection to the body share the body's nodes. Large parts without connection are bodies of
+their own here (phy124/particles/islands.py).
 """
 
 from typing import NamedTuple

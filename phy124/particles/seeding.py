@@ -63,12 +63,14 @@ def make_particles(
     x = x.astype(np.float32)
     order = _order_by_cell(x, 2 * spacing)
     x, owner = x[order], owner[order]
+    islands = shape.islands(2 * spacing)
     return Particles(
         x=x,
         volume=_share_volume(x, shape, room),
         density=np.full(len(x), float(density)),
         material=np.zeros(len(x), np.int32),
         gaussian=owner.astype(np.int32),
+        piece=None if islands.number == 1 else islands.at(x),
     )
 
 

@@ -8,6 +8,7 @@ interior is found in these steps:
   then dilated by increasing radii r (in voxels), and the flood is repeated. Dilation seals gaps of
   width up to 2 r. Larger dilations are used only if they enclose a new cavity; other narrow slots
   stay open. Wide openings are never sealed.
+- Gaps between separate pieces are opened again (phy124/particles/islands.py).
 - If no radius encloses a cavity of more than `CAVITY` times the volume of the surface, the shell is
   open (a missing back or bottom). A voxel is then also inside if axis-parallel rays from the voxel
   meet the dilated shell in at least five of the six directions. The inside of a vessel whose walls
@@ -27,8 +28,8 @@ from __future__ import annotations
 import hashlib
 import math
 import threading
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 
 import numpy as np
 import scipy
@@ -38,6 +39,7 @@ from phy124.gaussians import Gaussians, rotation_matrices
 from phy124.particles.cleaning import VISIBLE
 from phy124.particles.cubes import Samples, Surface
 from phy124.particles.dilation import dilate
+from phy124.particles.islands import Islands, find_islands, open_gaps
 from phy124.particles.resampling import Material, average, move_material
 from phy124.particles.surface import find_surface, shortest_axes
 from phy124.particles.vessels import is_vessel
@@ -57,6 +59,8 @@ CAVITY = 0.5
 """Smallest volume of the cavities of a closed shell, relative to the volume of the surface; an open
 shell may have small sealed parts, such as knobs.
 """
+CLOSED = 0.1
+"""Smallest volume of the cavity in a separate piece, relative to the volume of its surface."""
 COVERED = 0.5
 """Smallest fraction of the border of an interior that is surface rather than a sealed opening."""
 CONNECTED = 6
@@ -101,6 +105,28 @@ class Solid:
     @cached_property
     def _resampled(self) -> dict[float, Solid]:
         return {}
+
+    def islands(self, dx: float) -> Islands:
+        """Return the separate pieces of the solid for cells of side dx [m]."""
+        return _find_islands(self.source or self, dx)
+
+    def split(self, dx: float) -> list[Solid]:
+        """Return the separate pieces of the solid for cells of side dx [m]."""
+        origin, islands = self.source or self, self.islands(dx)
+        if islands.number == 1:
+            return [self]
+        pieces = [origin._select(islands, k) for k in range(islands.number)]
+        return pieces if self.source is None else [each._on_voxels(self.voxel) for each in pieces]
+
+    def _select(self, islands: Islands, piece: int) -> Solid:
+        mask, surface, means = islands.labels == piece, self.surface, self.means
+        if surface is not None:
+            groups = ((cubes.select(mask.flat[cubes.voxel]), n) for cubes, n in surface.cubes)
+            surface = Surface(tuple(groups))
+        if means is not None:
+            means = means[islands.at(means) == piece]
+        fraction = np.where(mask, self.fraction, np.float32(0))
+        return Solid(self.first, self.voxel, fraction, surface, means=means)
 
     @property
     def volume(self) -> float:
@@ -156,6 +182,11 @@ class Solid:
         return move_material(np.argwhere(at_border), self.surface, low, side, inner > WHOLE)
 
 
+@lru_cache(2 * MEMORY)
+def _find_islands(solid: Solid, dx: float) -> Islands:
+    return find_islands(solid.first, solid.voxel, solid.fraction, dx)
+
+
 def find_solid(gaussians: Gaussians, spacing: float) -> Solid:
     """Find the solid enclosed by clean Gaussians, for particles that are `spacing` m apart."""
     return find_interior(gaussians).resample(spacing)
@@ -192,7 +223,7 @@ def _find_interior(gaussians: Gaussians) -> Solid:
     opaque = gaussians.opacities >= VISIBLE
     some = gaussians.select(opaque) if opaque.any() else gaussians
     grid = _voxelise(some)
-    region, outside = _find_inside(grid)
+    region, outside = _find_region(grid)
     surface = find_surface(region, region & dilate(outside, 1), grid.samples)
     fraction = surface.fill(region)
     fraction.flags.writeable = False  # All runs use this array.
@@ -292,6 +323,22 @@ def _unit_ball(counts: NDArray[np.int64]) -> NDArray[np.float64]:
 def _mean_neighbours(occupied: Mask) -> float:
     around = scipy.ndimage.uniform_filter(occupied.astype(np.float32), 3, mode="constant") * 27 - 1
     return float(around[occupied].mean())
+
+
+def _find_region(grid: _Voxels) -> tuple[Mask, Mask]:
+    """Return the masks of the voxels inside the object and outside, with open gaps between separate
+    pieces.
+    """
+
+    def fill(surface: Mask) -> Mask | None:
+        thick = dilate(surface, 1)
+        cavity = ~(_flood_outside(~thick) | thick)
+        if cavity.sum() <= CLOSED * surface.sum():
+            return None
+        return _find_inside(replace(grid, occupied=surface))[0]
+
+    region = open_gaps(_find_inside(grid)[0], grid.occupied, fill)
+    return region, ~region
 
 
 def _find_inside(grid: _Voxels) -> tuple[Mask, Mask]:

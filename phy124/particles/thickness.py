@@ -34,16 +34,21 @@ class Proportions(NamedTuple):
     """Mean deflection if the weight acts sideways, in units of L rho g L / E, where L is the
     object's size.
     """
+    pieces: int = 1
+    """Number of separate pieces of an object; the largest number if there are several objects."""
 
     @classmethod
     def of_report(cls, report: Mapping[str, Any]) -> Proportions | None:
         """Return the proportions in a report; None if they are missing."""
         thickness, compliance = report.get("thickness"), report.get("compliance")
-        return None if thickness is None or compliance is None else cls(thickness, compliance)
+        if thickness is None or compliance is None:
+            return None
+        return cls(thickness, compliance, report.get("pieces") or 1)
 
 
 def measure_proportions(*objects: tuple[Solid, float]) -> Proportions:
-    """Return the smallest thickness and the largest compliance of upright objects.
+    """Return the smallest thickness, the largest compliance and the largest number of separate
+    pieces of upright objects.
 
     `objects` are pairs of interior (`find_interior`) and longest side [m]. The thickness is
     relative to the longest side of the first object.
@@ -51,7 +56,9 @@ def measure_proportions(*objects: tuple[Solid, float]) -> Proportions:
     shapes = [interior.resample(size / ACROSS) for interior, size in objects]
     pairs = zip(shapes, (size for _, size in objects), strict=True)
     softest = max(compliance(shape) / size for shape, size in pairs)
-    return Proportions(min(local_thickness(shape) for shape in shapes) / objects[0][1], softest)
+    thickness = min(local_thickness(shape) for shape in shapes) / objects[0][1]
+    pieces = max(interior.islands(0.0).number for interior, _ in objects)
+    return Proportions(thickness, softest, pieces)
 
 
 @lru_cache(maxsize=4)

@@ -311,6 +311,8 @@ class Report(TypedDict):
     """
     compliance: float | None
     """Deflection of the object, modelled as a beam under its weight (docs/lab/own-error.md)."""
+    pieces: int | None
+    """Number of separate pieces of the object; None: all objects are scenery."""
     objects: NotRequired[dict[str, Any]]
     """Counts, mass [kg] and position [m] of each object, and poses of free rigid objects."""
     pairs: NotRequired[dict[str, Any]]

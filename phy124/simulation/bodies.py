@@ -282,7 +282,9 @@ def _with_particles(placed: Placed, spacing: float) -> Body:
     elif scene.binding == "lattice":
         particles = scatter(particles, interior, materials, spacing=spacing, seed=scene.seed)
     appearance = make_appearance(gaussians, particles, moves, materials, scene, spacing)
-    cleaned = placed.cleaned.sentences, placed.cleaned.notes + _note_excess(excess)
+    islands = interior.islands(2 * spacing)
+    notes = placed.cleaned.notes + islands.notes() + _note_excess(excess)
+    cleaned = placed.cleaned.sentences, notes
     interiors = [(interior, scene.object.size)]
     placed = placed._replace(interior=interior)
     return Body(scene, *cleaned, gaussians, appearance, materials, stiffness, interiors, placed)
@@ -398,6 +400,9 @@ def _join_particles(
         for each in objects
         if each.surface is not None
     ]
+    pieces = [
+        np.zeros(len(each), np.int32) if each.piece is None else each.piece for each in objects
+    ]
     return Particles(
         x=join("x"),
         volume=join("volume"),
@@ -407,4 +412,5 @@ def _join_particles(
         body=np.repeat(np.arange(len(objects), dtype=np.int32), counts),
         surface=np.concatenate(surfaces) if surfaces else None,
         copies=np.concatenate(copies) if any(part.any() for part in copies) else None,
+        piece=np.concatenate(pieces) if any(each.piece is not None for each in objects) else None,
     )

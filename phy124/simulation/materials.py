@@ -137,6 +137,7 @@ def assign_materials(
         material=material.astype(np.int32),
         gaussian=np.where(gaussian >= 0, (np.cumsum(moves) - 1)[gaussian], -1).astype(np.int32),
         cell=None if particles.cell is None else particles.cell[kept],
+        piece=None if particles.piece is None else particles.piece[kept],
     )
     return moving, moves
 
