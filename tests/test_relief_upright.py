@@ -68,3 +68,17 @@ def test_handle_that_points_to_the_viewer_ends_above_the_foot():
     handle, wall = mug.means[red], mug.means[~red]
     assert handle[:, 2].min() > wall[wall[:, 1] < 0, 2].min()
     assert handle[:, 0].min() > 0.1 and handle[:, 1].min() > 0.1
+
+
+def test_lid_with_a_berry_at_the_back_is_flat():
+    cake = from_above(70, 115, 80, 80, 0.4) | (np.hypot(X - 96, Y - 37) < 8)
+    made = relief(picture(cake), count=5000).means
+    top = made[made[:, 2] > made[:, 2].max() - 0.03]
+    assert np.ptp(top[:, :2], axis=0) == pytest.approx([0.8, 0.8], abs=0.2)
+
+
+def test_brim_of_a_hat_is_flat():
+    crown = from_above(80, 110, 35, 40, 0.4)
+    made = relief(picture(from_above(110, 113, 80, 80, 0.4) | crown), count=5000).means
+    upper = made[made[:, 2] > made[:, 2].min() + 0.2 * np.ptp(made[:, 2])]
+    assert np.ptp(made[:, 1]) > 0.95 and np.ptp(upper[:, 1]) < 0.6

@@ -20,6 +20,7 @@ from phy124.generators.relief.shell import DRAWN_IN, Shell
 from phy124.generators.relief.upright import Profile
 
 Field = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 ELEVATIONS = np.radians([10.0, 20.0, 30.0, 40.0, 50.0, 60.0])
 """Elevations that are tried first [radians]. If the circles fill the outline even at the last
 elevation, as for a ball, the outline shows no elevation.
@@ -39,6 +40,15 @@ SHALLOW, SLANTED, SMALL_FOOT = 0.5, 0.5, 0.4
 slope of this wall, relative to the slope of an invisible wall. `SMALL_FOOT` is the radius of a
 bowl's foot, relative to the rim's radius.
 """
+NEIGHBOURS, STILL = 11, 4.0
+"""Circles above a flat ledge are hidden, and touch the outline at the same corner. A circle belongs
+to them if those of `NEIGHBOURS` circles touch the outline in rows that differ by less than `STILL`
+[pixels].
+"""
+TOPPING = 0.15
+"""Smallest radius of a knob on a lid, relative to the largest radius. Smaller parts are assumed to
+lie somewhere else on the lid, such as a berry on a cake.
+"""
 CLEAR = 0.95
 """Fraction of a ring's visible angle in which the image is not stretched too much."""
 STEEP = 0.2
@@ -54,6 +64,8 @@ class Lathe:
     radii: Field
     """Radii of the circles [M], pixels."""
     camera: Raised
+    hidden: Mask
+    """Whether a circle is not visible in the outline, as above a ledge [M]."""
 
     @classmethod
     def fill(cls, profile: Profile, middle: float, camera: Raised, step: float = 1.0) -> Lathe:
@@ -76,7 +88,13 @@ class Lathe:
             fits = (column <= half + 0.25).all(axis=1)
             low, high = np.where(fits, radii, low), np.where(fits, high, radii)
         kept = low > 1
-        return cls(heights[kept], low[kept], camera)
+        column, row = _images(heights[kept], low[kept], camera)
+        nearest = (np.interp(row, rows, profile.half) - column).argmin(axis=1)
+        touched = np.take_along_axis(row, nearest[:, None], axis=1)[:, 0]
+        highest = scipy.ndimage.minimum_filter1d(touched, NEIGHBOURS)
+        still = scipy.ndimage.maximum_filter1d(touched, NEIGHBOURS) - highest < STILL
+        hidden = scipy.ndimage.binary_dilation(still, np.ones(NEIGHBOURS))
+        return cls(heights[kept], low[kept], camera, hidden)
 
     def between(self, first: float, last: float) -> Lathe | None:
         """Cut off the circles below the base and above the lid; return None if nothing is left.
@@ -89,9 +107,23 @@ class Lathe:
         bottom = np.flatnonzero(row.max(axis=1) >= last - EDGE)
         if not len(top) or not len(bottom) or top[0] - bottom[-1] < 2:
             return None
-        kept = slice(self._foot(bottom[-1], top[0]), top[0] + 1)
-        smooth = scipy.ndimage.gaussian_filter1d(self.radii[kept], 1.5, mode="nearest")
-        return Lathe(self.heights[kept], smooth, self.camera)
+        return self._level(base=self._foot(bottom[-1], top[0]), lid=top[0])
+
+    def _level(self, base: int, lid: int) -> Lathe:
+        """Return the solid from the base to the lid, with flat ledges.
+
+        Above a ledge, circles are hidden. They are replaced by the next visible circle, such as
+        that of a knob, or omitted if this circle is too small.
+        """
+        kept = np.arange(base, lid + 1)
+        ledge = self.hidden[kept] & (kept > base + self.radii[kept].argmax()) & (kept < lid)
+        radii = self.radii[kept[~ledge][np.cumsum(~ledge) - ~ledge]]
+        small = ledge & (radii < TOPPING * radii.max())
+        if small.any():
+            kept, radii = kept[: small.argmax()], radii[: small.argmax()]
+        walls = np.split(radii, np.flatnonzero(np.diff(ledge[: len(radii)].astype(int)) > 0) + 1)
+        smooth = [scipy.ndimage.gaussian_filter1d(wall, 1.5, mode="nearest") for wall in walls]
+        return Lathe(self.heights[kept], np.concatenate(smooth), self.camera, self.hidden[kept])
 
     def _foot(self, base: int, lid: int) -> int:
         rim, middle = float(self.radii[base:lid].max()), (base + lid) // 2
