@@ -68,7 +68,8 @@ def relief(
             vertical axis; "flat": a thin sheet; "auto": the most plausible of these, a slab or a
             box.
         photo_elevation: Angle above the horizontal from which the picture was taken [degrees], 0 to
-            80. None: estimated for a vessel, a ring or a box, and 0 for other objects.
+            80. None: estimated for a vessel, a ring, a box and an object that shows two sides, and
+            0 for other objects.
         highlights: "keep": highlights are painted on the object; "remove": highlights are removed
             from the images.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -30,6 +31,7 @@ from phy124.generators.relief.flat import flatten
 from phy124.generators.relief.height import Silhouette
 from phy124.generators.relief.legs import Legs, find_legs
 from phy124.generators.relief.light import fit_light, unlight
+from phy124.generators.relief.oblique import carve, find_oblique
 from phy124.generators.relief.picture import PADDING, WORK, opaque_size, work_picture
 from phy124.generators.relief.rings import find_ring
 from phy124.generators.relief.shell import DRAWN_IN, Shell
@@ -70,6 +72,10 @@ RECOGNISED = (
     "It has no effect, because the object was recognised as a vessel, a ring, a box or a table, "
     "whose back follows from its shape. To inflate the silhouette instead, set shape = round."
 )
+OBLIQUE = (
+    "The picture seems to show two sides of the object, so its depth is a guess. If it is wrong, "
+    "give a picture from the front and a picture from the side, or set shape = round."
+)
 FRONT, BACK, ACROSS = np.array([0.0, 0, 1]), np.array([0.0, 0, -1]), np.array([1.0, 0, 0])
 
 
@@ -86,8 +92,8 @@ def from_front(
     shape: Shape,
     elevation: float | None,
 ) -> Shell:
-    """Build the upright shell of an object: a ring, a vessel, a box, a table, or the inflated
-    silhouette.
+    """Build the upright shell of an object: a ring, a vessel, a box, a table, an object
+    that shows two sides, or the inflated silhouette.
 
     Args:
         picture: Image of the front.
@@ -100,11 +106,12 @@ def from_front(
         thickness: Factor of the guessed depth.
         shape: Kind of solid; "auto": the most plausible one.
         elevation: Angle above the horizontal from which the picture was taken [degrees]; None:
-            estimated for a vessel, a ring or a box, and 0 for other objects.
+            estimated for a vessel, a ring, a box and an object that shows two sides, and 0 for
+            other objects.
     """
     rgba = work_picture(picture, depth=depth)
     view = View.of(rgba[..., 3] > 0.5, VIEW_DISTANCE * WORK)
-    legs = None
+    legs = box = None
     if depth is None and back is None:
         shell = None
         if shape in ("auto", "upright"):
@@ -122,8 +129,11 @@ def from_front(
                 warnings.warn(f"back_look = {look}: {RECOGNISED}", stacklevel=3)
             step(1)
             return shell if thickness == 1 else shell.scale_depth(thickness)
+        if shape == "auto" and legs is None:
+            box = find_oblique(rgba[..., 3] > 0.5, view)
+    work = continue_silhouette(rgba, PADDING) if legs is None else legs.trunk
     shell = _inflated_shell(
-        continue_silhouette(rgba, PADDING) if legs is None else legs.trunk,
+        work if box is None else Continued(rgba, rgba[..., 3], ()),
         count=count if legs is None else round(count * (1 - legs.share)),
         rng=rng,
         step=step,
@@ -132,7 +142,13 @@ def from_front(
         thickness=thickness,
         shape=shape if legs is None else "round",
         legs=legs,
+        box=box,
     )
+    if box is not None:
+        warnings.warn(OBLIQUE, stacklevel=3)
+        turn = box.upright() if elevation is None else _turn(elevation)
+        shell = replace(shell, points=shell.points @ turn, normals=shell.normals @ turn)
+        return shell if thickness == 1 else shell.scale_depth(thickness)
     return Raised(np.radians(elevation), view.distance).stand(shell) if elevation else shell
 
 
@@ -147,8 +163,9 @@ def _inflated_shell(
     thickness: float,
     shape: Shape,
     legs: Legs | None,
+    box: Cuboid | None,
 ) -> Shell:
-    """Inflate the silhouette to a shell that the front camera sees.
+    """Inflate the silhouette to a shell that the front camera sees, or carve it out of a box.
 
     If the image has a fifth channel, this channel is the depth map. If the object has legs, the
     image shows the body without the legs.
@@ -156,11 +173,12 @@ def _inflated_shell(
     view = View.of(work.object_mask if legs is None else legs.object_mask, VIEW_DISTANCE * WORK)
     shoulder = find_shoulder(work)
     silhouette = Silhouette.of(work.alpha)
-    joined = _parts_thickness(work, shoulder, legs)
-    half = half_thickness(silhouette, work, WORK, shape, joined)
+    half = half_thickness(silhouette, work, WORK, shape, _parts_thickness(work, shoulder, legs))
     mapped, thin, limited = work.rgba.shape[2] > 4, None, None
     half, most = _sheet(half, work) if shape == "auto" and not mapped else (half, 1.0)
-    if half is None:
+    if box is not None:
+        half, surface = None, carve(box, work.alpha)
+    elif half is None:
         work = work.shorten()
         surface = make_slab(work, view, thickness, most * WORK if most < 1 else None)
     else:
@@ -169,8 +187,8 @@ def _inflated_shell(
         surface = inflate(half, silhouette, work, view, thickness)
         if thin is None and not mapped and shape != "round":
             limited = _flatten(half, surface, work, shoulder, shape, most)
-    if limited is not None:
-        surface = inflate(limited, silhouette, work, view, thickness)
+            if limited is not None:
+                surface = inflate(limited, silhouette, work, view, thickness)
     if shoulder is not None and half is not None:
         surface = shoulder.close(surface, view, work.alpha)
     if mapped:
@@ -186,9 +204,7 @@ def _inflated_shell(
         light = fit_light(front, surface, work.object_mask)
         unlit = unlight(front, surface, light)
         if look == "auto":
-            look = (
-                "mirror" if thin is not None else "plain" if half is None else choose_look(picture)
-            )
+            look = _look(picture, thin is not None or box is not None, half is None)
         imagined, reach = unlit, 0.0
         if look == "plain":
             reach = _reach_behind(surface, half is None, limited is not None)
@@ -200,11 +216,12 @@ def _inflated_shell(
                 if reach
                 else card_back(unlit, inside)
             )
-        walls = len(points) - sum(len(cap.points) for cap in caps)
-        sides = points[:walls], normals[:walls]
+        walls = slice(len(points) - sum(len(cap.points) for cap in caps))
         rgb = np.concatenate(
             [
-                colour_points(*sides, surface, front, unlit, imagined, light, reach),
+                colour_points(
+                    points[walls], normals[walls], surface, front, unlit, imagined, light, reach
+                ),
                 *(colour_cap(cap, unlit, light) for cap in caps),
             ]
         )
@@ -216,6 +233,10 @@ def _inflated_shell(
     step(3)
     shell = Shell(drawn, turned, spacing, rgb)
     return shell if legs is None else legs.join(shell, surface, view, front, rng)
+
+
+def _look(rgba: Field, alike: bool, slab: bool) -> Literal["mirror", "plain"]:
+    return "mirror" if alike else "plain" if slab else choose_look(rgba)
 
 
 def _sheet(half: Field | None, work: Continued) -> tuple[Field | None, float]:
