@@ -15,6 +15,8 @@ FLAT = 3e-3
 CORNERS = np.array(list(np.ndindex(2, 2, 2))) - 0.5
 """Corners of a cube of side 1, relative to its middle [8,3]."""
 SIGNS = np.prod(-2 * CORNERS, axis=1)
+BLOCK = 4000
+"""Number of voxels that `moments_below` processes at a time; all their numbers fit in a cache."""
 
 
 def below(normal: NDArray, height: NDArray, side: float = 1) -> NDArray[np.float64]:
@@ -52,6 +54,14 @@ def moments_below(
     """Return the volume [K], first moments [K,3] and second moments [K,3,3] of the part of each
     voxel below a plane, about the middle of the voxel.
     """
+    blocks = [slice(start, start + BLOCK) for start in range(0, len(normal) or 1, BLOCK)]
+    volume, first, second = zip(*(_moments(normal[b], height[b]) for b in blocks), strict=True)
+    return np.concatenate(volume), np.concatenate(first), np.concatenate(second)
+
+
+def _moments(
+    normal: NDArray, height: NDArray
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     size, depth = _depths(normal, height, 1)
     flip = np.where(normal < 0, -1.0, 1.0).T
     weight = SIGNS[:, None] * depth**3 / (6 * size.prod(axis=0))
