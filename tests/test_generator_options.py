@@ -19,6 +19,11 @@ from support.shapes import ball
 STEPS = GeneratorOptions(steps=7)
 
 
+def test_every_entry_can_be_made():
+    for name in generators.GENERATORS:
+        assert callable(generators.make(name))
+
+
 class Slow:
     """A generator that says it takes minutes, and counts how often it is used."""
 

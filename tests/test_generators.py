@@ -21,11 +21,6 @@ def box(rng, count=2000, opacity=0.9):
     return Gaussians(means, quats, scales, np.full(count, opacity), np.zeros((count, 1, 3)))
 
 
-def test_every_entry_can_be_made():
-    for name in generators.GENERATORS:
-        assert callable(generators.make(name))
-
-
 def test_neural_generator_is_one_package(tmp_path, monkeypatch):
     (tmp_path / "cube").mkdir()
     code = 'GENERATORS = {"cube": lambda: "made"}\nWEIGHTS = ("u2net",)\n'
