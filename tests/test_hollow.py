@@ -45,6 +45,28 @@ def test_cylinder_of_one_colour_has_no_rim():
     assert not has_rim(*arrays(drawn(*one_colour)))
 
 
+ROOF = (("ellipse", (140, 90, 260, 130), 200), ("rectangle", (140, 110, 260, 150), 200))
+NOT_HOLLOW = {
+    "plate": (("ellipse", (50, 150, 350, 250), 200), ("ellipse", (60, 153, 340, 244), 90)),
+    "car": (
+        *ROOF,
+        ("rectangle", (50, 140, 350, 250), 200),
+        ("ellipse", (150, 94, 250, 126), 90),
+    ),
+    "stool": (
+        ("rectangle", (150, 120, 180, 300), 200),
+        ("rectangle", (220, 120, 250, 300), 200),
+        ("ellipse", (90, 100, 310, 150), 200),
+        ("ellipse", (90, 80, 310, 130), 90),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", NOT_HOLLOW)
+def test_round_top_without_a_wall_below_is_no_rim(name):
+    assert not has_rim(*arrays(drawn(*NOT_HOLLOW[name])))
+
+
 def test_ball_and_block_are_solid():
     shapes = (("ellipse", (50, 50, 350, 350), 200), ("ellipse", (120, 90, 200, 150), 240))
     assert not list(find_hollow(*arrays(drawn(*shapes))))

@@ -1,9 +1,10 @@
 """Detects signs that an object is hollow: a rim seen from above, or a gap as in a handle.
 
 If a cup, bowl or pot is seen slightly from above, its rim appears as an ellipse. The back half of
-the ellipse is the top of the outline, and the front half is an edge inside the outline. In 8 images
-of solid objects, there was no false detection. In 150 renderings of 15 objects, there were 3 false
-detections (on a hammer's head) and one correct detection (of a teapot's handle).
+the ellipse is the top of the outline, and the front half is an edge inside the outline. Below the
+rim, there is a wall. In 195 pictures (renderings of known objects, cut-outs and the examples), 17
+of 18 rims are detected, and there are 4 false detections: two of a cake, which looks like a full
+tin, one of an armchair, and one of a car.
 """
 
 from collections.abc import Iterator
@@ -36,6 +37,14 @@ EDGE = 2.0
 """Smallest colour gradient at an edge, in CIE Lab units per pixel."""
 ACROSS = np.linspace(-0.85, 0.85, 41)
 """Positions across a rim at which the outline is sampled, relative to half the rim's width."""
+WALL, BELOW = 0.15, 0.4
+"""Smallest height of the wall below a rim, and height at which its width is measured, relative to
+half the rim's width.
+"""
+CORE = 0.6
+"""Half the width of the part of the wall that has no gaps, relative to half the rim's width."""
+WIDER = 1.3
+"""Largest width of the wall, relative to the rim's width; one side, with a handle, may be wider."""
 NEARER = (0.9, 1.0, 1.1, 1.2)
 """Heights that are tried for the rim's front half, relative to the back half. Perspective enlarges
 the front half.
@@ -79,9 +88,27 @@ def has_rim(rgb: NDArray[np.uint8], solid: Solid) -> bool:
             continue
         for nearer in NEARER:
             y = np.round(centre + nearer * back * arc).astype(int)
-            if y.max() < len(mask) and edges[y, x].mean() >= FRONT:
+            if y.max() >= len(mask) or edges[y, x].mean() < FRONT:
+                continue
+            if _is_above_wall(mask, int(y.max()), float(row.mean()), half):
                 return True
     return False
+
+
+def _is_above_wall(mask: Solid, front: int, middle: float, half: float) -> bool:
+    """Whether a wall without gaps is below the row `front` of a rim, and is hardly wider than it.
+
+    Plates have no wall, stools have legs, and roofs of cars and crowns of hats become wider.
+    """
+    below = mask[front : front + max(2, round(BELOW * half))]
+    if not below[: round(WALL * half), round(middle)].all():
+        return False
+    core = below[:, round(middle - CORE * half) : round(middle + CORE * half)]
+    if (np.abs(np.diff(np.pad(core, ((0, 0), (1, 1))).astype(int), axis=1)).sum(axis=1) > 2).any():
+        return False
+    last = np.flatnonzero(below[-1])
+    wider = WIDER * half
+    return not len(last) or middle - last[0] <= wider or last[-1] - middle <= wider
 
 
 def _find_edges(rgb: NDArray[np.uint8], solid: Solid) -> tuple[Solid, Solid]:
