@@ -210,3 +210,33 @@ def test_small_object_is_segmented_again_in_its_surroundings():
     first = u2net.saliency(large, network)
     assert u2net.look_closer(large, first, network) is first
     assert len(seen) == 3
+
+
+def blind_at_its_border(width):
+    """A network that sees nothing within `width` of the 320 pixels from its border."""
+
+    def network(x):
+        mask = np.zeros((1, 1, 320, 320), np.float32)
+        inner = np.s_[..., width:-width, width:-width]
+        mask[inner] = (x.mean(axis=1, keepdims=True) > 0)[inner]
+        return mask
+
+    return network
+
+
+def measure_overlap(mask, shape):
+    solid = cv2.resize(mask, shape.shape[::-1]) > 0.5
+    return (solid & shape).sum() / (solid | shape).sum()
+
+
+@pytest.mark.parametrize(("side", "width"), [(300, 60), (60, 25)])
+def test_parts_at_the_border_of_the_picture_are_kept(side, width):
+    """The border cuts a large and a small object; the small one is also segmented closely."""
+    shape = np.zeros((400, 400), bool)
+    shape[:side, 200 - side // 2 : 200 + side // 2] = True
+    rgb = np.where(shape[..., None], 250, 5).astype(np.uint8).repeat(3, axis=2)
+    network = blind_at_its_border(width)
+    first = u2net.saliency(rgb, network)
+    second = u2net.look_beyond(rgb, first, network)
+    assert measure_overlap(first, shape) < 0.85
+    assert measure_overlap(u2net.look_closer(rgb, second, network), shape) > 0.95

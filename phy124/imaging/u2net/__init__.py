@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from phy124.errors import InputError
-from phy124.imaging.image import is_blank, normalise
-from phy124.imaging.matting import fit_edge
+from phy124.imaging.image import is_blank, normalise, reduce_size
+from phy124.imaging.matting import fit_edge, resize
+from phy124.imaging.silhouette import measure_alike, measure_undecided, measure_unseen
 from phy124.runtime import isolated
 from phy124.runtime.installation import install_command
 from phy124.weights.store import KNOWN, WeightFile, find, require
@@ -29,6 +30,12 @@ AROUND = 0.15
 """Width of the margin around a small object, relative to the object's longest side."""
 AGREED = 0.85
 """Smallest overlap (IoU) of two masks that agree."""
+BEYOND = 0.35
+"""Width of the margin around a whole image, relative to the image's longest side."""
+DOUBTFUL = 0.05
+"""A mask away from the border is doubtful if `_measure_doubt` exceeds this value."""
+SIDE = 640
+"""Longest side of the reduced image in which masks are compared [pixels]."""
 Network = Callable[[NDArray[np.float32]], NDArray[np.float32]]
 """Maps a normalised image [1,3,320,320] to the saliency [1,1,320,320] in 0..1."""
 
@@ -77,7 +84,8 @@ def _find_alpha(rgb: NDArray[np.uint8], weights: Path) -> NDArray[np.uint8]:
         # The network would report an object even in a blank image.
         return np.zeros(rgb.shape[:2], np.uint8)
     network = load(weights)
-    return fit_edge(rgb, look_closer(rgb, saliency(rgb, network), network))
+    coarse = look_beyond(rgb, saliency(rgb, network), network)
+    return fit_edge(rgb, look_closer(rgb, coarse, network))
 
 
 def saliency(rgb: NDArray[np.uint8], network: Network) -> NDArray[np.float32]:
@@ -85,13 +93,51 @@ def saliency(rgb: NDArray[np.uint8], network: Network) -> NDArray[np.float32]:
     return network(prepare_rembg(rgb))[0, 0]
 
 
+def look_beyond(
+    rgb: NDArray[np.uint8], coarse: NDArray[np.float32], network: Network
+) -> NDArray[np.float32]:
+    """Segment again, inside a margin, an object that the image's border may cut.
+
+    The network often misses parts at the border. The colours of the border are therefore continued
+    into a margin around the image [H,W,3]. If the second mask reaches the border and is less
+    doubtful, it is returned [h,w]; otherwise the first mask [320,320] is returned.
+    """
+    width, height = size = reduce_size(rgb.shape, SIDE)
+    small = np.asarray(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA), np.uint8)
+    first = resize(coarse, size)
+    if not _reaches_border(first) and _measure_doubt(small, first) <= DOUBTFUL:
+        return coarse
+    margin = 1 + int(BEYOND * max(size))
+    wider = np.pad(small, ((margin, margin), (margin, margin), (0, 0)), mode="edge")
+    around = saliency(wider, network)
+    second = resize(around, (width + 2 * margin, height + 2 * margin))
+    second = second[margin:-margin, margin:-margin]
+    return second if _reaches_border(second) and _is_better(small, second, first) else coarse
+
+
+def _reaches_border(mask: NDArray[np.float32]) -> bool:
+    return any(bool((side > 0.5).any()) for side in (mask[0], mask[-1], mask[:, 0], mask[:, -1]))
+
+
+def _is_better(
+    rgb: NDArray[np.uint8], second: NDArray[np.float32], first: NDArray[np.float32]
+) -> bool:
+    return _measure_doubt(rgb, second) < _measure_doubt(rgb, first)
+
+
+def _measure_doubt(rgb: NDArray[np.uint8], mask: NDArray[np.float32]) -> float:
+    """Return the sum of the measures of a mask [H,W] that are large for wrong masks."""
+    solid, alpha = mask > 0.5, np.rint(255 * np.clip(mask, 0, 1)).astype(np.uint8)
+    return measure_unseen(rgb, solid) + measure_alike(rgb, solid) + measure_undecided(alpha)
+
+
 def look_closer(
     rgb: NDArray[np.uint8], coarse: NDArray[np.float32], network: Network
 ) -> NDArray[np.float32]:
     """Segment a small object again in a section of the image, so that thin parts cover more pixels.
 
-    The first mask [320,320] is returned if the two masks disagree; otherwise the mask [H,W] of the
-    section.
+    The first mask [h,w] is returned if the two masks disagree, or if the border cuts the object and
+    the first mask is less doubtful; otherwise the mask [H,W] of the section.
     """
     height, width = rgb.shape[:2]
     whole = np.asarray(cv2.resize(coarse, (width, height)), np.float32)
@@ -100,19 +146,23 @@ def look_closer(
         return coarse
     rows, columns = np.flatnonzero(first.any(axis=1)), np.flatnonzero(first.any(axis=0))
     margin = int(AROUND * max(np.ptp(rows), np.ptp(columns)))
-    top, bottom = max(0, rows[0] - margin), min(height, rows[-1] + margin)
-    left, right = max(0, columns[0] - margin), min(width, columns[-1] + margin)
+    top, bottom = int(rows[0]) - margin, int(rows[-1]) + margin
+    left, right = int(columns[0]) - margin, int(columns[-1]) + margin
     if (
         CLOSER * max(bottom - top, right - left) > max(height, width)
         or min(bottom - top, right - left) < 2
     ):
         return coarse
-    near = saliency(np.ascontiguousarray(rgb[top:bottom, left:right]), network)
-    closer = np.zeros_like(whole)
-    closer[top:bottom, left:right] = cv2.resize(near, (int(right - left), int(bottom - top)))
+    wider = np.pad(rgb, ((margin, margin), (margin, margin), (0, 0)), mode="edge")
+    section = np.s_[top + margin : bottom + margin, left + margin : right + margin]
+    near = saliency(np.ascontiguousarray(wider[section]), network)
+    closer = np.zeros(wider.shape[:2], np.float32)
+    closer[section] = resize(near, (right - left, bottom - top))
+    closer = closer[margin : margin + height, margin : margin + width]
     second = closer > 0.5
     both = np.count_nonzero(first & second) / np.count_nonzero(first | second)
-    return closer if both >= AGREED else coarse
+    agreed = both >= AGREED and (not _reaches_border(closer) or _is_better(rgb, closer, whole))
+    return closer if agreed else coarse
 
 
 def load(path: str | os.PathLike[str]) -> Network:
