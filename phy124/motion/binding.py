@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -90,16 +91,37 @@ def pick_values(gaussians: Gaussians, particles: Particles, values: NDArray) -> 
 def _carriers_of(
     gaussians: Gaussians, particles: Particles
 ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-    """Return the particles of the same object that carry each Gaussian, and their weights."""
-    if particles.body is None or gaussians.object_id is None:
+    """Return the particles of the same separate piece that carry each Gaussian, and their
+    weights.
+    """
+    several = particles.body is not None and gaussians.object_id is not None
+    if not several and particles.piece is None:
         return _carriers_within(gaussians.means, particles.x, particles.volume)
     neighbours = np.zeros((len(gaussians), CARRIERS), np.int32)
     weights = np.zeros((len(gaussians), CARRIERS), np.float32)
-    for ours, theirs in by_object(gaussians, particles):
+    for ours, theirs in _by_piece(gaussians, particles):
         means, x, volume = gaussians.means[ours], particles.x[theirs], particles.volume[theirs]
         index, weights[ours] = _carriers_within(means, x, volume)
         neighbours[ours] = theirs[index]
     return neighbours, weights
+
+
+def _by_piece(
+    gaussians: Gaussians, particles: Particles
+) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp]]]:
+    """Yield the Gaussians and the particles of each separate piece of each object.
+
+    A Gaussian belongs to the piece of the nearest particle.
+    """
+    for ours, theirs in by_object(gaussians, particles):
+        piece = None if particles.piece is None else particles.piece[theirs]
+        if piece is None or not piece.any():
+            yield ours, theirs
+            continue
+        tree = scipy.spatial.KDTree(particles.x[theirs])
+        nearest = piece[tree.query(gaussians.means[ours], workers=-1)[1]]
+        for k in np.unique(nearest):
+            yield ours[nearest == k], theirs[piece == k]
 
 
 def _carriers_within(

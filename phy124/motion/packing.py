@@ -51,7 +51,8 @@ def pack(motion: Motion) -> Packed:
     volumes = _mean_volumes(particles)
     exact |= {"moves": motion.moves, "rest": particles.x, "volume": volumes}
     exact |= {"gaussian": particles.gaussian, "body": particles.body, "carriers": motion.carriers}
-    exact |= {"tracks": motion.tracks, "poses": motion.poses, **motion.limits}
+    exact |= {"piece": particles.piece, "tracks": motion.tracks, "poses": motion.poses}
+    exact |= motion.limits
     if (torn := motion.exposed) is not None:
         exact |= {f"exposed.{name}": getattr(torn.grains, name) for name in STATIC}
         exact |= {f"exposed.{name}": getattr(torn, name) for name in EXPOSED}
@@ -128,6 +129,7 @@ def unpack(tensors: Mapping[str, NDArray], facts: Mapping[str, Any], times: NDAr
         material=np.zeros(len(x), np.int32),
         gaussian=exact.pop("gaussian"),
         body=exact.pop("body", None),
+        piece=exact.pop("piece", None),
     )
     moves, carriers = exact.pop("moves"), exact.pop("carriers")
     tracks, poses = exact.pop("tracks"), exact.pop("poses")

@@ -1,6 +1,7 @@
 """Finds the solid that Gaussians enclose, as a filled fraction of each voxel.
 
-The Gaussians may be a shell of flat discs with gaps, a fuzzy cloud, thin sheets, or a mixture. The
+The Gaussians of each separate piece (phy124/particles/islands.py) enclose a part of the solid. The
+Gaussians may be a shell of flat discs with gaps, a fuzzy cloud, thin sheets, or a mixture. The
 interior is found in these steps:
 
 - Each Gaussian is sampled within one standard deviation, at least once per voxel.
@@ -8,7 +9,6 @@ interior is found in these steps:
   then dilated by increasing radii r (in voxels), and the flood is repeated. Dilation seals gaps of
   width up to 2 r. Larger dilations are used only if they enclose a new cavity; other narrow slots
   stay open. Wide openings are never sealed.
-- Gaps between separate pieces are opened again (phy124/particles/islands.py).
 - If no radius encloses a cavity of more than `CAVITY` times the volume of the surface, the shell is
   open (a missing back or bottom). A voxel is then also inside if axis-parallel rays from the voxel
   meet the dilated shell in at least five of the six directions. The inside of a vessel whose walls
@@ -26,8 +26,10 @@ side of these voxels is the particle spacing multiplied or divided by an integer
 from __future__ import annotations
 
 import hashlib
+import itertools
 import math
 import threading
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
@@ -39,7 +41,7 @@ from phy124.gaussians import Gaussians, rotation_matrices
 from phy124.particles.cleaning import VISIBLE
 from phy124.particles.cubes import Samples, Surface
 from phy124.particles.dilation import dilate
-from phy124.particles.islands import Islands, find_islands, open_gaps
+from phy124.particles.islands import Islands, divide, find_islands
 from phy124.particles.resampling import Material, average, move_material
 from phy124.particles.surface import find_surface, shortest_axes
 from phy124.particles.vessels import is_vessel
@@ -59,8 +61,6 @@ CAVITY = 0.5
 """Smallest volume of the cavities of a closed shell, relative to the volume of the surface; an open
 shell may have small sealed parts, such as knobs.
 """
-CLOSED = 0.1
-"""Smallest volume of the cavity in a separate piece, relative to the volume of its surface."""
 COVERED = 0.5
 """Smallest fraction of the border of an interior that is surface rather than a sealed opening."""
 CONNECTED = 6
@@ -90,6 +90,8 @@ class Solid:
     """The solid from which this solid was resampled."""
     means: NDArray[np.float32] | None = None
     """Centres of the visible Gaussians of the solid [K,3], m; None: those of `source`."""
+    parts: tuple[Solid, ...] = ()
+    """Parts with separate closed surfaces; empty: a single part."""
 
     @cached_property
     def voxels(self) -> Voxels:
@@ -115,16 +117,24 @@ class Solid:
         origin, islands = self.source or self, self.islands(dx)
         if islands.number == 1:
             return [self]
-        pieces = [origin._select(islands, k) for k in range(islands.number)]
+        every = [
+            [
+                part._select(labels == k, islands)
+                for part, labels in zip(origin.parts or (origin,), islands.of_parts, strict=True)
+                if (part.fraction[labels == k] > 0).any()
+            ]
+            for k in range(islands.number)
+        ]
+        pieces = [_unite(parts) for parts in every]
         return pieces if self.source is None else [each._on_voxels(self.voxel) for each in pieces]
 
-    def _select(self, islands: Islands, piece: int) -> Solid:
-        mask, surface, means = islands.labels == piece, self.surface, self.means
+    def _select(self, mask: Mask, islands: Islands) -> Solid:
+        surface, means = self.surface, self.means
         if surface is not None:
             groups = ((cubes.select(mask.flat[cubes.voxel]), n) for cubes, n in surface.cubes)
             surface = Surface(tuple(groups))
         if means is not None:
-            means = means[islands.at(means) == piece]
+            means = means[mask[islands.voxels_at(means)]]
         fraction = np.where(mask, self.fraction, np.float32(0))
         return Solid(self.first, self.voxel, fraction, surface, means=means)
 
@@ -184,7 +194,8 @@ class Solid:
 
 @lru_cache(2 * MEMORY)
 def _find_islands(solid: Solid, dx: float) -> Islands:
-    return find_islands(solid.first, solid.voxel, solid.fraction, dx)
+    fractions = [part.fraction for part in solid.parts or (solid,)]
+    return find_islands(solid.first, solid.voxel, fractions, dx)
 
 
 def find_solid(gaussians: Gaussians, spacing: float) -> Solid:
@@ -223,11 +234,29 @@ def _find_interior(gaussians: Gaussians) -> Solid:
     opaque = gaussians.opacities >= VISIBLE
     some = gaussians.select(opaque) if opaque.any() else gaussians
     grid = _voxelise(some)
-    region, outside = _find_region(grid)
-    surface = find_surface(region, region & dilate(outside, 1), grid.samples)
-    fraction = surface.fill(region)
-    fraction.flags.writeable = False  # All runs use this array.
-    return Solid(grid.first, grid.voxel, fraction, surface, means=some.means)
+    samples = grid.samples
+    piece = divide(samples.points, samples.owner, grid.means, grid.occupied.shape)
+    parts = []
+    for k in range(piece.max() + 1):
+        part = grid if not piece.any() else grid.select(piece == k)
+        region, outside = _find_inside(part)
+        surface = find_surface(region, region & dilate(outside, 1), part.samples)
+        means = grid.means[piece == k] if piece.any() else some.means
+        parts.append(Solid(grid.first, grid.voxel, surface.fill(region), surface, means=means))
+    solid = _unite(parts)
+    solid.fraction.flags.writeable = False  # All runs use this array.
+    return solid
+
+
+def _unite(parts: Sequence[Solid]) -> Solid:
+    if len(parts) == 1:
+        return parts[0]
+    fraction = np.minimum(sum(part.fraction for part in parts), np.float32(1))
+    groups = [part.surface.cubes for part in parts if part.surface is not None]
+    surface = Surface(tuple(itertools.chain(*groups))) if groups else None
+    means = [part.means for part in parts if part.means is not None]
+    joined = np.concatenate(means) if means else None
+    return Solid(parts[0].first, parts[0].voxel, fraction, surface, None, joined, tuple(parts))
 
 
 @dataclass(frozen=True, eq=False)
@@ -238,6 +267,15 @@ class _Voxels:
     samples: Samples
     means: NDArray
     occupied: Mask
+
+    def select(self, chosen: Mask) -> _Voxels:
+        """Return the voxels of the chosen Gaussians [N]."""
+        mine = chosen[self.samples.owner]
+        points, owner = self.samples.points[mine], self.samples.owner[mine]
+        occupied = np.zeros_like(self.occupied)
+        occupied[tuple(points.astype(np.int32).T)] = True
+        samples = self.samples._replace(points=points, owner=owner)
+        return replace(self, samples=samples, occupied=occupied)
 
 
 def _voxelise(gaussians: Gaussians) -> _Voxels:
@@ -323,22 +361,6 @@ def _unit_ball(counts: NDArray[np.int64]) -> NDArray[np.float64]:
 def _mean_neighbours(occupied: Mask) -> float:
     around = scipy.ndimage.uniform_filter(occupied.astype(np.float32), 3, mode="constant") * 27 - 1
     return float(around[occupied].mean())
-
-
-def _find_region(grid: _Voxels) -> tuple[Mask, Mask]:
-    """Return the masks of the voxels inside the object and outside, with open gaps between separate
-    pieces.
-    """
-
-    def fill(surface: Mask) -> Mask | None:
-        thick = dilate(surface, 1)
-        cavity = ~(_flood_outside(~thick) | thick)
-        if cavity.sum() <= CLOSED * surface.sum():
-            return None
-        return _find_inside(replace(grid, occupied=surface))[0]
-
-    region = open_gaps(_find_inside(grid)[0], grid.occupied, fill)
-    return region, ~region
 
 
 def _find_inside(grid: _Voxels) -> tuple[Mask, Mask]:
