@@ -25,7 +25,10 @@ POT = from_above(70, 120, 60, 57, 0.4) | HANDLES
 SLEEVES = ((abs(X - 96) < 80) & (abs(Y - 70) < 20)) | ((abs(X - 96) < 40) & (abs(Y - 100) < 50))
 
 
-@pytest.mark.parametrize("drawn", [BOWL, TIN, POT, from_above(60, 120, 80, 40, 0)])
+BULGE = from_above(50, 140, 50, 50, 0.4) | (np.hypot((X - 130) / 24, (Y - 110) / 30) < 1)
+
+
+@pytest.mark.parametrize("drawn", [BOWL, TIN, POT, BULGE, from_above(60, 120, 80, 40, 0)])
 def test_vessels_and_drums_stand_upright(drawn):
     assert upright_body(drawn) is not None
 

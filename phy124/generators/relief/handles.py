@@ -31,8 +31,8 @@ STRIP = 6.0
 """Width of the vertical strips in which the middle of a handle is measured [pixels]."""
 CORE = 0.7
 """Smallest distance of a handle's middle from the outline, relative to the largest distance."""
-SMALLEST = 32
-"""Smaller parts are ignored [pixels]."""
+THINNEST = 2.0
+"""Thinner parts are ignored, as a half thickness [pixels]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +108,7 @@ def _parts(outside: Mask) -> Iterator[Mask]:
     parts, number = scipy.ndimage.label(outside)  # pyright: ignore
     for index in range(1, number + 1):
         part = parts == index
-        if np.count_nonzero(part) >= SMALLEST:
+        if nearest_of(~part)[0].max() > THINNEST:
             yield part
 
 

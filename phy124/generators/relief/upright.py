@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import combinations
 
 import cv2
 import numpy as np
@@ -86,6 +87,10 @@ POINTED = 0.3
 """A protruding part is a rim instead of a handle if its tip is lower than this, relative to the
 part's height.
 """
+BULGE, TRIED = 0.4, 40
+"""At least the fraction `BULGE` of the rows is not widened by a bulge at one side. `TRIED` is the
+number of rows from which the axis is chosen.
+"""
 FEWEST = 16
 BELOW = 0.08
 """At least this fraction of the object's height is below a handle. Below brims and feet, there is
@@ -97,7 +102,7 @@ def upright_body(object_mask: Mask) -> Mask | None:
     """Return the vessel or drum in a silhouette [H,W], without handles, or None."""
     if not object_mask.any():
         return None
-    for body in (_without_handles(object_mask), object_mask):
+    for body in (_without_handles(object_mask), object_mask, _without_bulge(object_mask)):
         profile = None if body is None else Profile.of(body)
         if profile and profile.symmetric and (profile.is_drum() or profile.is_vessel()):
             return body
@@ -114,6 +119,8 @@ class Profile:
     """Rows [H], counted from the top of the image."""
     axis: float
     """Column of the axis."""
+    middle: Field
+    """Column of the centre of each row [H]."""
     leaning: Field
     """Column of the axis in each row [H], if the axis may lean."""
     symmetric: bool
@@ -136,7 +143,7 @@ class Profile:
         good = centred & (np.count_nonzero(solid, axis=1) == high - low)
         symmetric = len(half) >= FEWEST and bool(good.mean() >= EVERY)
         every = np.arange(rows[0], rows[-1] + 1.0)
-        return cls(half, every, float(axis) - 0.5, leaning - 0.5, symmetric)
+        return cls(half, every, float(axis) - 0.5, middle - 0.5, leaning - 0.5, symmetric)
 
     @cached_property
     def top(self) -> int:
@@ -234,13 +241,38 @@ def _complete(body: Mask, solid: Mask) -> Mask:
 
     Where a handle joins the body close to the rim, a corner of the rim looks like the handle.
     """
-    profile, columns = Profile.of(body), np.arange(body.shape[1])
-    mirrored = np.zeros_like(body)
-    for row, axis in zip(profile.rows.astype(int), profile.leaning, strict=True):
+    profile = Profile.of(body)
+    return body | (_mirror(body, profile.rows, profile.leaning) & solid)
+
+
+def _without_bulge(solid: Mask) -> Mask | None:
+    """Return a mask [H,W] without a bulge at one side, such as a handle in front of the body; None
+    if most rows are not symmetric about one line.
+    """
+    profile = Profile.of(solid)
+    rows, middle = profile.rows, profile.middle
+    tried = range(0, len(rows), max(1, len(rows) // TRIED))
+    best, most = None, BULGE * len(rows)
+    for first, last in combinations(tried, 2):
+        lean = (middle[last] - middle[first]) / (last - first)
+        line = middle[first] + lean * (rows - rows[first])
+        near = np.abs(middle - line) <= 1
+        if abs(lean) <= LEAN and np.count_nonzero(near) > most:
+            best, most = near, np.count_nonzero(near)
+    if best is None:
+        return None
+    lean, start = np.polyfit(rows[best], middle[best], 1)
+    return solid & _mirror(solid, rows, lean * rows + start)
+
+
+def _mirror(solid: Mask, rows: Field, axes: Field) -> Mask:
+    """Mirror each of the rows [N] of a mask [H,W] about a column [N]."""
+    mirrored, columns = np.zeros_like(solid), np.arange(solid.shape[1])
+    for row, axis in zip(rows.astype(int), axes, strict=True):
         other = np.rint(2 * axis - columns).astype(int)
         inside = (other >= 0) & (other < len(other))
-        mirrored[row] = inside & body[row, other.clip(0, len(other) - 1)]
-    return body | (mirrored & solid)
+        mirrored[row] = inside & solid[row, other.clip(0, len(other) - 1)]
+    return mirrored
 
 
 def _inner_distance(solid: Mask) -> Field:
