@@ -78,7 +78,7 @@ def test_drop_sticks_to_a_sticky_floor(contact, speed):
     ("height", "tilt", "fall"), [(0.001, 0.0, 0.0), (0.3, 0.0, 0.28), (0.001, 20.0, 0.0)]
 )
 def test_walls_take_only_the_energy_of_a_fall_from_drops(height, tilt, fall):
-    """A film of a twentieth of a cell starts too near the floor, falls, or slides down a slope.
+    """A film of a hundredth of a cell starts too near the floor, falls, or slides down a slope.
 
     Heights are in cells.
     """
@@ -88,13 +88,28 @@ def test_walls_take_only_the_energy_of_a_fall_from_drops(height, tilt, fall):
     x[:, 2] = x[:, 0] * np.tan(tilt) + height / 8
     solver = liquid(x, 8, [HalfSpace(point=(0, 0, 0), normal=normal, contact="slip")])
     for array in (solver.model.volume, solver.model.mass):
-        array.assign(array.numpy() / 10)
+        array.assign(array.numpy() / 50)
     solver.start()
     assert (solver.state.x.numpy() @ normal).min() > 0.019 / 8
     run(solver, 12)
     work = solver.impulses.total.numpy()[0, WORK]
     weight = solver.model.total_mass * G
     assert work == pytest.approx(-weight * fall / 8, rel=0.1, abs=1e-5 * weight / 8)
+
+
+def test_film_of_a_sixth_of_a_cell_spreads_like_shallow_water():
+    """Ritter's dam break; 2 % of the water is in front of each of the measured ends."""
+    thick, frames = 0.01, 36
+    x = block((0, 0, 0), (1, 1, 1 / 32), 16)
+    x[:, 2] = thick / 2
+    solver = liquid(x, 16, [HalfSpace(contact="slip")], offset=0.75)
+    for array in (solver.model.volume, solver.model.mass):
+        array.assign(array.numpy() * 32 * thick)
+    run(solver, frames)
+    wave = np.sqrt(G * thick) * frames / FPS
+    front = 0.5 + wave * (2 - (27 * 0.02 / wave) ** (1 / 3))
+    ends = np.quantile(solver.state.x.numpy()[:, 0], (0.02, 0.98))
+    assert np.ptp(ends) == pytest.approx(2 * front, rel=0.1)
 
 
 def test_puddle_that_spreads_gains_no_energy():

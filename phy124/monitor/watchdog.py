@@ -257,8 +257,8 @@ class Watchdog(Observer):
         if self.balance.lifts:
             yield (
                 f"The liquid rose by {self.balance.lifts:.2g} cells without a physical cause, as "
-                "it may when a lid or a body covers its surface. A larger accuracy.cells makes "
-                "this error smaller."
+                "it may in layers thinner than a cell, or when a lid or a body covers its surface. "
+                "A larger accuracy.cells makes this error smaller."
             )
 
     def _notes_of_laws(self) -> Iterator[str]:

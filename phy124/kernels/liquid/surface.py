@@ -12,12 +12,20 @@ import warp as wp
 from phy124.kernels.arguments import types
 from phy124.kernels.build import build_once, kernel
 from phy124.kernels.items import item
+from phy124.kernels.liquid.active import EMPTY
 from phy124.kernels.liquid.faces import FILL, HAT, cell_of, entry, inner, stride, sums
 from phy124.kernels.liquid.walls import SHUT, point
 
 LONE = wp.constant(0.3)
-"""Smallest fill of a cell that has pressure; in cells with less fill, particles are drops in
-flight.
+"""Smallest fill around a particle that is not a drop in flight, and of a cell of a layer whose
+surface is below the cell's centre.
+"""
+THIN = wp.constant(0.02)
+"""Thickness of the thinnest layer with pressure [cells]; in a thinner layer, particles are drops.
+"""
+SPARSE = wp.constant(0.1)
+"""The surface of a layer is below the second cell away from a wall: this cell's fill is less than
+this fraction of the fill of the cell at the wall.
 """
 LEAST = wp.constant(0.004)
 """Lower limit of the open part of a B-spline around a cell. Of an open cell in the corner of a
@@ -71,7 +79,7 @@ def filled_share(volume: Any, solid: Any, dx: Any):
 
 
 @wp.func
-def thickness(
+def layer_on_wall(
     cells: wp.array(dtype=Any),
     component: int,
     open: wp.array(dtype=Any),
@@ -79,26 +87,40 @@ def thickness(
     n: int,
     size: wp.vec3i,
     dx: Any,
-    most: Any,
 ):
-    """Return the volume of a liquid layer on a wall, per cell of the wall [m^3]; 0 without layer.
+    """Return the thickness of a liquid layer on a wall [cells], and the index of its cell at the
+    wall.
 
-    A layer exists only if the fill of the next cell away from the wall is less than `most`. In a
-    narrow gap, the next cell may be inside the opposite wall.
+    The layer's surface is in the cell n, which is at the wall or the next cell away from it. The
+    thickness is 0 without such a layer. In a narrow gap, the second cell away from the wall may be
+    inside the opposite wall.
     """
-    result = type(most)(0.0)
+    unit = type(dx)(1.0)
+    thick = type(dx)(0.0)
+    base = n
+    # The loop count is not a constant, so that the compiler does not unroll the loop.
+    last = int(2)
     for axis in range(3):
         step = stride(axis, size)
-        jump = item(open, n + step)[axis] - item(open, n)[axis]
-        if wp.abs(jump) > type(most)(0.5):
-            away = int(wp.sign(jump)) * step
-            if filled_share(item(cells, n + away)[component], item(shares, n + away)[1], dx) < most:
-                result = type(most)(0.0)
-                for k in range(5):
-                    result += item(cells, n + (k - 2) * step)[component]
-                # Walls at the sides of the layer occupy a fraction of the column.
-                result /= wp.max(type(most)(1.0) - item(shares, n + 2 * away)[1], type(most)(0.3))
-    return result
+        for k in range(-1, last):
+            m = n + k * step
+            jump = item(open, m + step)[axis] - item(open, m)[axis]
+            if wp.abs(jump) > type(dx)(0.5) and jump * type(dx)(k) <= type(dx)(0.0):
+                far = m + 2 * int(wp.sign(jump)) * step
+                near = filled_share(item(cells, m)[component], item(shares, m)[1], dx)
+                most = type(dx)(SPARSE) * near
+                if (
+                    near < unit
+                    and filled_share(item(cells, far)[component], item(shares, far)[1], dx) < most
+                ):
+                    volume = type(dx)(0.0)
+                    for i in range(5):
+                        volume += item(cells, m + (i - 2) * step)[component]
+                    # Walls at the sides of the layer occupy a fraction of the column.
+                    part = wp.max(unit - item(shares, far)[1], type(dx)(0.3))
+                    thick = volume / (dx * dx * dx) / part
+                    base = m
+    return thick, base
 
 
 @wp.func
@@ -116,10 +138,11 @@ def level(
 ):
     """Return a cell's fill, its centre's distance from the surface, and 1 if the cell is liquid.
 
-    The cells of a liquid layer on a wall count as full liquid cells, even if the liquid's surface
-    is below the cells' centres. Particles in a very thin layer count as drops instead. For a cell
-    inside a wall, only the rim of the B-spline reaches the liquid, so the fill is halved, or
-    reduced more if the rim is small.
+    The distance from the surface of a layer on a wall follows from the layer's thickness. If this
+    surface is below the centre of the cell at the wall, the cell still counts as liquid if it is
+    filled enough. Particles in a very thin layer count as drops instead. On a dry wall, the surface
+    is the wall. For a cell inside a wall, only the rim of the B-spline reaches the liquid, so the
+    fill is halved, or reduced more if the rim is small.
 
     Args:
         cells: Sums over the particles; the sum with the index `component` is the volume.
@@ -135,29 +158,35 @@ def level(
         dx: Grid spacing [m].
     """
     zero = type(dx)(0.0)
-    volume = dx * dx * dx
     filled = filled_share(item(cells, n)[component], item(shares, n)[1], dx)
     phi = -depth(filled)
     wet = int(0)
-    if filled > zero and inner(cell_of(n, size), size, 2):
+    cell = cell_of(n, size)
+    height = type(dx)(EMPTY)
+    if item(shares, n)[1] > zero:
+        middle = point(cell, 1, 1, 1, size)
+        if item(owners, middle) < solid:
+            height = item(distances, middle) / dx
+    if (filled > zero or height < zero) and inner(cell, size, 2):
         if opening(open, n, size) <= type(dx)(SHUT):
             rim = (type(dx)(1.0) - item(shares, n)[1]) / type(dx)(RIM)
             filled *= type(dx)(0.5) * wp.min(rim, type(dx)(1.0))
+        elif filled == zero:
+            phi = height
         else:
             wet = wp.where(phi < zero, 1, 0)
             thick = zero
-            middle = point(cell_of(n, size), 1, 1, 1, size)
-            if (
-                item(shares, n)[1] > zero
-                and filled < type(dx)(1.0)
-                and item(owners, middle) < solid
-            ):
-                half = type(dx)(0.5) * filled
-                thick = thickness(cells, component, open, shares, n, size, dx, half) / volume
+            base = n
+            if height < type(dx)(EMPTY) and filled < type(dx)(1.0) and inner(cell, size, 3):
+                thick, base = layer_on_wall(cells, component, open, shares, n, size, dx)
             if thick > zero:
-                phi = item(distances, middle) / dx - thick
-                wet = wp.where(filled >= type(dx)(LONE), 1, 0)
-                filled = type(dx)(wet)
+                phi = item(distances, point(cell_of(base, size), 1, 1, 1, size)) / dx - thick
+                if base != n:
+                    phi += type(dx)(1.0)
+                wet = wp.where(phi < zero and thick >= type(dx)(THIN), 1, 0)
+                if base == n:
+                    wet = wp.where(filled >= type(dx)(LONE), 1, wet)
+                    filled = type(dx)(wet)
     return filled, phi, wet
 
 
