@@ -35,6 +35,16 @@ def test_a_disc_with_a_border_is_thin():
     assert depth(painted(DISC, plate(0))) > 0.9
 
 
+def test_feet_and_bells_do_not_hide_the_border_of_a_disc():
+    """An alarm clock is thin, and a ball with feet is not."""
+    away = np.hypot(X - 96, Y - 90) / 64
+    feet = (abs(abs(X - 96) - 40) < 8) & (Y > 100) & (Y < 180)
+    clock = (away < 1) | feet | (np.hypot(abs(X - 96) - 40, Y - 30) < 18)
+    border = np.where(away > 0.8, 0.9, 0.5)
+    assert depth(painted(clock, border)) < 0.12
+    assert depth(painted(clock, np.full(X.shape, 0.7))) > 0.5
+
+
 SIGN = np.where((abs(X - 96) < 52) & (abs(Y - 96) < 52), 0.4, 0.9)
 
 

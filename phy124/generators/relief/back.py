@@ -83,13 +83,17 @@ def body_without_handles(solid: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
     Thin parts are kept if they are large.
     """
+    body = thick_parts(solid)
+    columns = np.flatnonzero(body.any(axis=0))
+    return solid if body is solid else body[:, columns[0] : columns[-1] + 1]
+
+
+def thick_parts(solid: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return a silhouette [H,W] without thin parts; thin parts are kept if they are large."""
     depth = nearest_of(~np.pad(solid, 1))[0][1:-1, 1:-1]
     radius = HANDLE * float(depth.max())
     body = nearest_of(depth >= radius)[0] <= radius
-    if np.count_nonzero(body) < BODY * np.count_nonzero(solid):
-        return solid
-    columns = np.flatnonzero(body.any(axis=0))
-    return body[:, columns[0] : columns[-1] + 1]
+    return solid if np.count_nonzero(body) < BODY * np.count_nonzero(solid) else body
 
 
 def _fold(solid: NDArray[np.bool_]) -> tuple[float, int]:

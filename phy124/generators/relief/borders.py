@@ -14,11 +14,14 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from phy124.generators.relief.back import thick_parts
 from phy124.generators.relief.height import nearest_of
 from phy124.generators.relief.outlines import outline_of
 
 Field = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+DISC = 0.9
+"""Smallest area of the largest inscribed disc, relative to the area of a disc-shaped body."""
 SECTORS = 120
 """Number of parts of equal length along the outline."""
 BLUR = 1.0
@@ -139,7 +142,19 @@ class Bands:
 
 
 def has_border(rgba: Field) -> bool:
-    """Whether an image [H,W,4] shows an object with a border along the outline."""
+    """Whether an image [H,W,4] shows an object with a border along the outline.
+
+    Thin parts, such as the feet and bells of an alarm clock, may interrupt the border of a disc.
+    """
+    solid = rgba[..., 3] > 0.5
+    body = thick_parts(solid)
+    disc = np.pi * float(nearest_of(~body)[0].max()) ** 2
+    if body is solid or disc < DISC * np.count_nonzero(body):
+        return _is_bordered(rgba)
+    return _is_bordered(rgba) or _is_bordered(np.dstack([rgba[..., :3], rgba[..., 3] * body]))
+
+
+def _is_bordered(rgba: Field) -> bool:
     bands = Bands.of(rgba)
     widest = min(int(WIDEST * len(bands.seen)), len(bands.seen) - AWAY[1])
     return any(bands.is_border(width) for width in range(NARROWEST + 1, widest))
