@@ -115,3 +115,10 @@ def test_the_back_of_a_tall_slab_has_straight_edges(tower):
     back = tower.means[tower.means[:, 0] < -0.1]
     away, up = abs(back[:, 1]), back[:, 2]
     assert up[away > 0.08].max() == pytest.approx(up[away < 0.04].max(), abs=0.01)
+
+
+def test_a_tent_is_no_paper():
+    """A polygon that is no rectangle is at least a quarter as deep as the largest disc inside."""
+    tent = (Y < 140) & (Y > 60) & (X > 20 + (140 - Y) * 0.6) & (X < 172 - (140 - Y) * 0.3)
+    tent &= Y < 140 - 0.8 * (X - 140)
+    assert np.ptp(relief(picture(tent), count=3000).means[:, 0]) > 0.11

@@ -55,10 +55,10 @@ NOISE = 0.01
 """Noise of the brightness, relative to the mean."""
 NARROW = (0.4, 0.5)
 """Ratios of a slab's width to its length. Below the first ratio, the slab has a minimum thickness.
-Above the second ratio, the slab may be a sheet of any thickness.
+Above the second ratio, a rectangle may be a sheet of any thickness.
 """
 LEAST = 0.25
-"""Smallest thickness of a narrow slab that is not an upright bar, relative to its width."""
+"""Smallest thickness of a slab that is neither an upright bar nor a page, relative to its width."""
 STEPS = 32
 """Number of steps along a view ray through a slab."""
 
@@ -309,8 +309,10 @@ def make_slab(
     widest = float(distance.max())
     h = widest * aspect**3 * full
     if most is None:
-        least = 1.0 if full > BOXED and sides[0] > sides[1] else LEAST
-        h = max(h, widest * float(np.interp(2 * widest / max(sides), NARROW, (least, 0))))
+        rectangle = full > BOXED
+        least = 1.0 if rectangle and sides[0] > sides[1] else LEAST
+        page = 0.0 if rectangle else LEAST
+        h = max(h, widest * float(np.interp(2 * widest / max(sides), NARROW, (least, page))))
     else:
         h = min(max(h, most / 2), most)
     h *= thickness
