@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from phy124.errors import InputError
+from phy124.imaging.gaps import open_gaps
 from phy124.imaging.image import is_blank, normalise, reduce_size
 from phy124.imaging.matting import fit_edge, resize
 from phy124.imaging.silhouette import measure_alike, measure_undecided, measure_unseen
@@ -85,7 +86,7 @@ def _find_alpha(rgb: NDArray[np.uint8], weights: Path) -> NDArray[np.uint8]:
         return np.zeros(rgb.shape[:2], np.uint8)
     network = load(weights)
     coarse = look_beyond(rgb, saliency(rgb, network), network)
-    return fit_edge(rgb, look_closer(rgb, coarse, network))
+    return fit_edge(rgb, open_gaps(rgb, look_closer(rgb, coarse, network)))
 
 
 def saliency(rgb: NDArray[np.uint8], network: Network) -> NDArray[np.float32]:
