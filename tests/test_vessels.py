@@ -1,5 +1,6 @@
 """Open vessels stay hollow, and open shells of solid objects are filled."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -8,6 +9,8 @@ import trimesh
 
 from phy124.generators.shapes import choose_triangles, cover_surface
 from phy124.particles.solid import ACROSS, find_interior
+from phy124.scene import Scene
+from phy124.simulation.setup import prepare
 
 COUNT = 20_000
 
@@ -91,6 +94,37 @@ def test_box_of_few_gaussians_without_a_front_is_filled():
     box = cover(trimesh.creation.box((1, 1, 1)), 2000)
     box = replace(box, scales=np.float32(0.7) * box.scales)
     assert find_interior(box.select(box.means[:, 0] < 0.48)).volume == pytest.approx(1, rel=0.05)
+
+
+def hollow_ball(wall):
+    radii = (0.5, 0.5 - wall)
+    shells = [trimesh.creation.icosphere(4, radius) for radius in radii]
+    volume = 4 / 3 * np.pi * (radii[0] ** 3 - radii[1] ** 3)
+    return cover(trimesh.util.concatenate(shells)), volume
+
+
+@pytest.mark.parametrize("wall", [0.03, pytest.param(0.1, marks=pytest.mark.slow)])
+def test_closed_wall_with_two_sides_is_hollow(wall):
+    ball, volume = hollow_ball(wall)
+    assert find_interior(ball).volume == pytest.approx(volume, rel=0.05)
+
+
+def test_user_chooses_whether_an_object_is_solid():
+    ball, volume = hollow_ball(0.05)
+    assert find_interior(ball, "solid").volume == pytest.approx(np.pi / 6, rel=0.02)
+    assert find_interior(ball, "shell").volume == pytest.approx(volume, rel=0.05)
+    cup = cover(vessel(0.4, 1.0, 2 / ACROSS))
+    assert find_interior(cup, "solid").volume == pytest.approx(np.pi * 0.4**2, rel=0.05)
+
+
+def test_filled_open_shell_causes_a_note():
+    box = cover(trimesh.creation.box((1, 1, 1)), 2000)
+    box = box.select(box.means[:, 2] < 0.48)
+    scenes = [Scene.model_validate({"object": {"inside": inside}}) for inside in ("auto", "shell")]
+    filled, shell = (prepare(box, scene) for scene in scenes)
+    (note,) = filled.notes
+    assert re.search(r"has openings. Its inside, 9\d%.* --set object.inside=shell", note)
+    assert not shell.notes and shell.particles.mass.sum() < 0.1 * filled.particles.mass.sum()
 
 
 def test_a_cage_is_empty():

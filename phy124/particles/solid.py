@@ -5,15 +5,7 @@ Gaussians may be a shell of flat discs with gaps, a fuzzy cloud, thin sheets, or
 interior is found in these steps:
 
 - Each Gaussian is sampled within one standard deviation, at least once per voxel.
-- The grid is flooded from outside; voxels that the flood does not reach are inside. The samples are
-  then dilated by increasing radii r (in voxels), and the flood is repeated. Dilation seals gaps of
-  width up to 2 r. Larger dilations are used only if they enclose a new cavity; other narrow slots
-  stay open. Wide openings are never sealed.
-- If no radius encloses a cavity of more than `CAVITY` times the volume of the surface, the shell is
-  open (a missing back or bottom). A voxel is then also inside if axis-parallel rays from the voxel
-  meet the dilated shell in at least five of the six directions. The inside of a vessel whose walls
-  have two sides remains empty (phy124/particles/vessels.py).
-- An interior that would be bounded mostly by openings, such as that of a cage, remains empty.
+- The voxels inside the surface are found (phy124/particles/filling.py).
 - Only the part of a surface voxel below the local surface belongs to the solid
   (phy124/particles/surface.py).
 
@@ -30,7 +22,7 @@ import itertools
 import math
 import threading
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -41,10 +33,10 @@ from phy124.gaussians import Gaussians, rotation_matrices
 from phy124.particles.cleaning import VISIBLE
 from phy124.particles.cubes import Samples, Surface
 from phy124.particles.dilation import dilate
+from phy124.particles.filling import SEAL, Grid, Inside, find_inside
 from phy124.particles.islands import Islands, divide, find_islands
 from phy124.particles.resampling import Material, average, move_material
 from phy124.particles.surface import find_surface, shortest_axes
-from phy124.particles.vessels import is_vessel
 from phy124.particles.voxels import Voxels, find_voxels
 
 Mask = NDArray[np.bool_]
@@ -55,14 +47,6 @@ ACROSS = 64
 """Number of voxels along the longest side; fewer if the Gaussians are too sparse."""
 COARSER = 1.2
 """Factor on the side of a voxel if samples are not connected."""
-SEAL = 0.065
-"""Half of the width of the widest sealed gap, relative to the object's longest side."""
-CAVITY = 0.5
-"""Smallest volume of the cavities of a closed shell, relative to the volume of the surface; an open
-shell may have small sealed parts, such as knobs.
-"""
-COVERED = 0.5
-"""Smallest fraction of the border of an interior that is surface rather than a sealed opening."""
 CONNECTED = 6
 """A surface or cloud is connected if an occupied voxel has on average at least this number of
 occupied neighbours (of 26).
@@ -92,6 +76,8 @@ class Solid:
     """Centres of the visible Gaussians of the solid [K,3], m; None: those of `source`."""
     parts: tuple[Solid, ...] = ()
     """Parts with separate closed surfaces; empty: a single part."""
+    bridged: float = 0.0
+    """Fraction of the volume that lies in cavities of a shell with openings, 0..1."""
 
     @cached_property
     def voxels(self) -> Voxels:
@@ -209,12 +195,15 @@ _lock = threading.Lock()
 """Lock of `_kept`, because the jobs of the web page run in threads."""
 
 
-def find_interior(gaussians: Gaussians) -> Solid:
-    """Find the solid that clean Gaussians enclose; the last `MEMORY` solids are kept."""
-    digest = _digest(gaussians)
+def find_interior(gaussians: Gaussians, inside: Inside = "auto") -> Solid:
+    """Find the solid that clean Gaussians enclose; the last `MEMORY` solids are kept.
+
+    `inside` states whether cavities are filled (phy124/particles/filling.py).
+    """
+    digest = _digest(gaussians) + inside.encode()
     with _lock:
         solid = _kept.get(digest)
-    solid = solid or _find_interior(gaussians)
+    solid = solid or _find_interior(gaussians, inside)
     with _lock:
         _kept.pop(digest, None)
         _kept[digest] = solid
@@ -230,7 +219,7 @@ def _digest(gaussians: Gaussians) -> bytes:
     return digest.digest()
 
 
-def _find_interior(gaussians: Gaussians) -> Solid:
+def _find_interior(gaussians: Gaussians, inside: Inside) -> Solid:
     opaque = gaussians.opacities >= VISIBLE
     some = gaussians.select(opaque) if opaque.any() else gaussians
     grid = _voxelise(some)
@@ -239,10 +228,11 @@ def _find_interior(gaussians: Gaussians) -> Solid:
     parts = []
     for k in range(piece.max() + 1):
         part = grid if not piece.any() else grid.select(piece == k)
-        region, outside = _find_inside(part)
-        surface = find_surface(region, region & dilate(outside, 1), part.samples)
+        region, bridged = find_inside(part, inside)
+        surface = find_surface(region, region & dilate(~region, 1), part.samples)
         means = grid.means[piece == k] if piece.any() else some.means
-        parts.append(Solid(grid.first, grid.voxel, surface.fill(region), surface, means=means))
+        fraction = surface.fill(region)
+        parts.append(Solid(grid.first, grid.voxel, fraction, surface, means=means, bridged=bridged))
     solid = _unite(parts)
     solid.fraction.flags.writeable = False  # All runs use this array.
     return solid
@@ -256,29 +246,13 @@ def _unite(parts: Sequence[Solid]) -> Solid:
     surface = Surface(tuple(itertools.chain(*groups))) if groups else None
     means = [part.means for part in parts if part.means is not None]
     joined = np.concatenate(means) if means else None
-    return Solid(parts[0].first, parts[0].voxel, fraction, surface, None, joined, tuple(parts))
+    volume = sum(part.volume for part in parts)
+    bridged = sum(part.bridged * part.volume for part in parts) / max(volume, 1e-300)
+    first, voxel, parts = parts[0].first, parts[0].voxel, tuple(parts)
+    return Solid(first, voxel, fraction, surface, None, joined, parts, bridged)
 
 
-@dataclass(frozen=True, eq=False)
-class _Voxels:
-    first: NDArray[np.int64]
-    voxel: float
-    across: float
-    samples: Samples
-    means: NDArray
-    occupied: Mask
-
-    def select(self, chosen: Mask) -> _Voxels:
-        """Return the voxels of the chosen Gaussians [N]."""
-        mine = chosen[self.samples.owner]
-        points, owner = self.samples.points[mine], self.samples.owner[mine]
-        occupied = np.zeros_like(self.occupied)
-        occupied[tuple(points.astype(np.int32).T)] = True
-        samples = self.samples._replace(points=points, owner=owner)
-        return replace(self, samples=samples, occupied=occupied)
-
-
-def _voxelise(gaussians: Gaussians) -> _Voxels:
+def _voxelise(gaussians: Gaussians) -> Grid:
     """Return the finest grid on which samples are connected, or else the finest grid of all."""
     # Every Gaussian has at least one sample; half of the samples remain for large Gaussians.
     gaussians = gaussians.select(slice(None, None, math.ceil(2 * len(gaussians) / MAX_SAMPLES)))
@@ -318,7 +292,7 @@ def _samples_per_axis(gaussians: Gaussians, voxel: float) -> NDArray[np.float64]
     return np.where(sigma > 0.25, 2 * np.ceil(sigma) + 1, 1)
 
 
-def _rasterise(gaussians: Gaussians, voxel: float, extent: NDArray) -> _Voxels:
+def _rasterise(gaussians: Gaussians, voxel: float, extent: NDArray) -> Grid:
     across = float(extent.max() / voxel)
     points, owner = _sample(gaussians, voxel)
     cells = np.floor(points.min(axis=0)).astype(np.int64)
@@ -330,7 +304,7 @@ def _rasterise(gaussians: Gaussians, voxel: float, extent: NDArray) -> _Voxels:
     axes, sizes = shortest_axes(gaussians), 2 * gaussians.scales.astype(np.float64) / voxel
     thickness, lengths = sizes.min(axis=1), sizes.max(axis=1)
     samples = Samples(points, owner, axes, thickness, gaussians.opacities, lengths)
-    return _Voxels(first, voxel, across, samples, gaussians.means, occupied)
+    return Grid(first, voxel, across, samples, gaussians.means, occupied)
 
 
 def _sample(gaussians: Gaussians, voxel: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
@@ -361,117 +335,3 @@ def _unit_ball(counts: NDArray[np.int64]) -> NDArray[np.float64]:
 def _mean_neighbours(occupied: Mask) -> float:
     around = scipy.ndimage.uniform_filter(occupied.astype(np.float32), 3, mode="constant") * 27 - 1
     return float(around[occupied].mean())
-
-
-def _find_inside(grid: _Voxels) -> tuple[Mask, Mask]:
-    """Return the masks of the voxels inside the object and outside."""
-    occupied, widest = grid.occupied, max(1, int(SEAL * grid.across))
-    least, is_open = CAVITY * occupied.sum(), True
-    surface = region = occupied
-    for r in sorted({1, 2, 3, widest // 2, widest}):
-        if r > widest:
-            break
-        thick = dilate(occupied, r)
-        outside = _flood_outside(~thick)
-        sealed = ~dilate(outside, r)
-        cavity = ~(outside | thick)
-        is_closed = bool(cavity.sum() > least)
-        if r == 1:
-            surface = region = sealed
-        elif is_open and is_closed:
-            enclosed = _find_enclosed(_close(occupied, 1)) & ~occupied
-            interior = _grow(cavity, r, sealed, enclosed) & ~surface
-            if not _is_covered(interior, surface):
-                return region, ~region
-            region = region | interior
-        else:
-            region = region | dilate(cavity & ~region, r) & sealed
-        is_open &= not is_closed
-    if is_open:
-        region = region | _find_open_interior(grid, surface, widest, least)
-    return region, ~region
-
-
-def _find_open_interior(grid: _Voxels, surface: Mask, widest: int, least: float) -> Mask:
-    """Return the interior of an open shell.
-
-    Rays pass through the gaps of a shell of few Gaussians, unless the shell is dilated.
-    """
-    enclosed = _find_enclosed(_close(grid.occupied, 1))
-    if _deep_parts(enclosed & ~surface).sum() > least:
-        for r in range(1, widest + 1):
-            thick = dilate(grid.occupied, r)
-            cavity = _deep_parts(_find_enclosed(thick) & ~thick & ~surface)
-            sealed = ~dilate(~(thick | cavity), r)
-            interior = _grow(cavity, r, sealed, enclosed & ~grid.occupied) & ~surface
-            if _is_covered(interior, surface):
-                return _without_vessels(interior, grid)
-    return np.zeros_like(surface)
-
-
-def _grow(cavity: Mask, radius: int, sealed: Mask, enclosed: Mask) -> Mask:
-    """Return a cavity with the parts of the interior that are closer than `radius` to the surface.
-
-    A dilation reaches only the surface of wide parts. In narrow parts, such as legs, the interior
-    is enclosed and connected to the cavity.
-    """
-    return _select_parts(sealed & enclosed, cavity) | dilate(cavity, radius) & sealed
-
-
-def _is_covered(interior: Mask, surface: Mask) -> bool:
-    """Return whether a surface covers at least the fraction `COVERED` of an interior's border."""
-    border = scipy.ndimage.binary_dilation(interior) & ~interior
-    return bool((border & surface).sum() >= COVERED * border.sum())
-
-
-def _close(mask: Mask, radius: int) -> Mask:
-    """Return a mask without gaps of width up to 2 `radius` (morphological closing)."""
-    return ~dilate(~dilate(mask, radius), radius)
-
-
-def _flood_outside(free: Mask) -> Mask:
-    labels, _ = scipy.ndimage.label(free)  # pyright: ignore
-    return labels == labels[0, 0, 0]
-
-
-def _find_enclosed(surface: Mask) -> Mask:
-    hits = np.zeros(surface.shape, np.uint8)
-    for axis in range(3):
-        hits += np.logical_or.accumulate(surface, axis=axis)
-        back = np.flip(surface, axis)
-        hits += np.flip(np.logical_or.accumulate(back, axis=axis), axis)
-    return hits >= 5
-
-
-def _deep_parts(mask: Mask) -> Mask:
-    """Return the connected parts of a mask that contain 3 x 3 x 3 voxels.
-
-    Discs at the rim of a plate may enclose a layer above the plate.
-    """
-    return _select_parts(mask, ~dilate(~mask, 1))
-
-
-def _select_parts(mask: Mask, seeds: Mask) -> Mask:
-    """Return the connected parts of a mask that contain a seed."""
-    labels, count = scipy.ndimage.label(mask)  # pyright: ignore
-    chosen = np.zeros(count + 1, bool)
-    chosen[labels[seeds]] = True
-    chosen[0] = False
-    parts: Mask = chosen[labels]
-    return parts
-
-
-def _without_vessels(cavity: Mask, grid: _Voxels) -> Mask:
-    """Return a cavity without its connected parts that are inside open vessels or touch no surface.
-
-    Walls that are far apart may enclose a part in the free air between them.
-    """
-    samples = grid.samples
-    cells = tuple(samples.points.astype(np.int32).T)
-    labels, count = scipy.ndimage.label(cavity)  # pyright: ignore
-    is_shell = np.zeros(count + 1, bool)
-    for part in range(1, count + 1):
-        near = np.unique(samples.owner[dilate(labels == part, 2)[cells]])
-        is_shell[part] = len(near) > 0 and not is_vessel(grid.means, samples.normals, near)
-    parts: Mask = is_shell[labels]
-    return parts

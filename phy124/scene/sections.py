@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, TypeAdapter, ValidationError, model_validator
 
@@ -48,6 +48,10 @@ class Object(Section):
     """
     held: bool = omit_default(False)
     """The object never moves, and acts on other objects like a wall."""
+    inside: Literal["auto", "solid", "shell"] = omit_default("auto")
+    """auto (shells are filled, vessels and cages remain hollow), solid (every cavity is filled), or
+    shell (only gaps between close walls are filled).
+    """
 
     @property
     def scenery(self) -> bool:

@@ -46,6 +46,8 @@ FEWEST = 8
 """A further object with fewer cells along its longest side causes a note about a coarse grid."""
 NOTICEABLE = 0.02
 """Smallest relative difference of the mass of the moving parts that causes a note."""
+BRIDGED = 0.1
+"""Smallest fraction of the volume inside a shell with openings that causes a note."""
 PER_GAUSSIAN = ("max_stretch", "rounds", "flows", "holds", "kinds")
 
 
@@ -135,7 +137,7 @@ def proportions_of(gaussians: Gaussians, scene: Scene) -> Proportions | None:
             continue
         with errors_prefixed_with(scene, index):
             placed = _clean_and_place(_source(gaussians, scene, index), scene.alone(index), WHOLE)
-            interior = find_interior(placed.gaussians.select(placed.belonging))
+            interior = find_interior(placed.gaussians.select(placed.belonging), body.inside)
         interiors.append((interior, body.size))
     return measure_proportions(*interiors) if interiors else None
 
@@ -253,7 +255,7 @@ def _clean_and_place(gaussians: Gaussians, scene: Scene, crop: Crop) -> Placed:
 def _with_particles(placed: Placed, spacing: float) -> Body:
     scene, gaussians, belonging = placed.scene, placed.gaussians, placed.belonging
     alone, points, excess = gaussians.select(belonging), None, 0.0
-    interior = placed.interior or find_interior(alone)
+    interior = placed.interior or find_interior(alone, scene.object.inside)
     canvas = Canvas.of(alone.means, placed.crop, euler(scene.object.turn))
     if all(scene.on_lattices):
         density, solid = scene.material.density, interior.resample(spacing, per_cell=2)
@@ -282,12 +284,25 @@ def _with_particles(placed: Placed, spacing: float) -> Body:
     elif scene.binding == "lattice":
         particles = scatter(particles, interior, materials, spacing=spacing, seed=scene.seed)
     appearance = make_appearance(gaussians, particles, moves, materials, scene, spacing)
-    islands = interior.islands(2 * spacing)
-    notes = placed.cleaned.notes + islands.notes() + _note_excess(excess)
-    cleaned = placed.cleaned.sentences, notes
+    notes = [
+        *placed.cleaned.notes,
+        *interior.islands(2 * spacing).notes(),
+        *_note_excess(excess),
+        *_note_bridged(interior, scene),
+    ]
     interiors = [(interior, scene.object.size)]
     placed = placed._replace(interior=interior)
-    return Body(scene, *cleaned, gaussians, appearance, materials, stiffness, interiors, placed)
+    return Body(
+        scene,
+        placed.cleaned.sentences,
+        notes,
+        gaussians,
+        appearance,
+        materials,
+        stiffness,
+        interiors,
+        placed,
+    )
 
 
 def _note_excess(excess: float) -> list[str]:
@@ -298,6 +313,16 @@ def _note_excess(excess: float) -> list[str]:
         f"The moving parts have {abs(excess):.0%} {more} mass than the material in their regions, "
         "because static parts end at whole cells on a lattice; a larger accuracy.cells reduces "
         "this difference."
+    ]
+
+
+def _note_bridged(interior: Solid, scene: Scene) -> list[str]:
+    if scene.object.inside != "auto" or interior.bridged < BRIDGED:
+        return []
+    return [
+        "The surface of the object has openings. Its inside, "
+        f"{interior.bridged:.0%} of the volume, was filled. If the object is hollow, set its field "
+        "`inside` to shell, as by --set object.inside=shell."
     ]
 
 
