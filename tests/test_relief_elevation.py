@@ -222,6 +222,7 @@ def test_a_known_elevation_turns_the_object_upright():
     assert np.mean(away < 0.01) > 0.95 and away.max() < 1
 
 
+@pytest.mark.filterwarnings("ignore:shape = auto")
 def test_the_shape_can_be_chosen():
     solid = np.hypot((X - 96) / 80, (Y - 96) / 40) < 1
     deep = {

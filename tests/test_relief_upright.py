@@ -85,3 +85,12 @@ def test_brim_of_a_hat_is_flat():
     made = relief(picture(from_above(110, 113, 80, 80, 0.4) | crown), count=5000).means
     upper = made[made[:, 2] > made[:, 2].min() + 0.2 * np.ptp(made[:, 2])]
     assert np.ptp(made[:, 1]) > 0.95 and np.ptp(upper[:, 1]) < 0.6
+
+
+def test_ellipse_that_may_be_a_plate_gets_advice():
+    plate = picture(np.hypot((X - 96) / 80, (Y - 96) / 46) < 1)
+    with pytest.warns(UserWarning, match="set shape = upright and photo_elevation = 33"):
+        relief(plate, count=500)
+    made = relief(plate, count=3000, shape="upright", photo_elevation=33).means
+    depth, width, height = np.ptp(made, axis=0)
+    assert depth == pytest.approx(width, rel=0.05) and height < 0.15 * width

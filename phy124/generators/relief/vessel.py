@@ -1,5 +1,7 @@
 """Builds the shell of a vessel or a drum, with handles, that was photographed from above."""
 
+import warnings
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,6 +15,18 @@ from phy124.generators.relief.surface import View
 from phy124.generators.relief.upright import Profile, upright_body
 
 Field = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+WIDER, ELLIPSE = (1.2, 4.0), 0.97
+"""An outline may be that of a disc seen from above if its ratio of width to height is in this range
+and its IoU with an ellipse is larger than `ELLIPSE`.
+"""
+EDGE = 0.035
+"""Visible height of a disc's edge, relative to its width."""
+DISC = (
+    "shape = auto: the outline is an ellipse, and the object is assumed to be as deep as high, like"
+    " an egg. If it is a disc seen from above, such as a plate or a pizza, set shape = upright and"
+    " photo_elevation = {}."
+)
 MARGIN = 3
 """Width of the strip around a handle in which colours are ignored [pixels]."""
 
@@ -41,6 +55,8 @@ def vessel_shell(
     object_mask = rgba[..., 3] > 0.5
     body = upright_body(object_mask)
     if body is None and not always:
+        if elevation is None and (angle := _disc_elevation(object_mask)):
+            warnings.warn(DISC.format(round(angle)), stacklevel=4)
         return None
     solid = object_mask if body is None else body
     profile, middle = Profile.of(solid), float(view.middle[1])
@@ -62,6 +78,19 @@ def vessel_shell(
         lathe.shell(round(count * (1 - share)), wall, centre, offset),
         handle_shell(handles, rgba, front, view, lathe, offset, round(count * share), rng),
     )
+
+
+def _disc_elevation(solid: Mask) -> float | None:
+    """Return the elevation [degrees] from which a disc has the outline [H,W]; None if none has."""
+    rows, columns = np.flatnonzero(solid.any(axis=1)), np.flatnonzero(solid.any(axis=0))
+    height, width = len(rows), len(columns)
+    if not WIDER[0] * height < width < WIDER[1] * height:
+        return None
+    y, x = np.ogrid[: solid.shape[0], : solid.shape[1]]
+    down, right = (y - rows.mean()) / height, (x - columns.mean()) / width
+    ellipse = np.hypot(down, right) < 0.5
+    overlap = np.count_nonzero(ellipse & solid) / np.count_nonzero(ellipse | solid)
+    return float(np.degrees(np.arcsin(height / width - EDGE))) if overlap > ELLIPSE else None
 
 
 def _without(rgba: Field, handles: list[Handle]) -> Field:
