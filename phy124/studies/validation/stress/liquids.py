@@ -194,7 +194,7 @@ def _immerse(setting: Setting, material: NeoHookean) -> ImmersedSolver:
     named = {"material": number, "body": number, "wet": [0], "names": ("water", "body")}
     x = np.concatenate([water, cube.x.astype(float)])
     model = Model.of(x, volume, [WATER, material], dx=DX, **named, **setting.options)
-    surface = cube.surface + np.array([0, 0, 0, 0, 0, 0, 1])
+    surface = cube.surface + np.array([0, 0, 0, 0, 0, 0, 1, 0])
     walls = {"boundaries": [TANK], "walls": [("tank", TANK)]}
     options = {"forces": [Gravity()], **walls, "copies": cube.copies, "threads": 1}
     return ImmersedSolver(model, surface, State.of(model), **options)
