@@ -45,6 +45,7 @@ def test_vessels_and_drums_stand_upright(drawn):
         from_above(70, 120, 50, 50, 0.4) | ((abs(X - 96) < 90) & (abs(Y - 134) < 6)),  # a hat
         np.roll(BOWL, 30, axis=1) | (Y > 100) & BOWL,  # not symmetric
         SLEEVES,
+        from_above(50, 140, 50, 50, 0.4) | (np.hypot((X - 150) / 34, (Y - 110) / 36) < 1),  # a wing
     ],
 )
 def test_other_wide_outlines_are_left_alone(drawn):

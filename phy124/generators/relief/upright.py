@@ -87,6 +87,10 @@ POINTED = 0.3
 """A protruding part is a rim instead of a handle if its tip is lower than this, relative to the
 part's height.
 """
+LARGEST = 0.06
+"""Largest area of a bulge at one side of a vessel, relative to the silhouette. The bulges of mugs
+have 0.04, and the wing of a plane 0.1.
+"""
 BULGE, TRIED = 0.4, 40
 """At least the fraction `BULGE` of the rows is not widened by a bulge at one side. `TRIED` is the
 number of rows from which the axis is chosen.
@@ -247,7 +251,7 @@ def _complete(body: Mask, solid: Mask) -> Mask:
 
 def _without_bulge(solid: Mask) -> Mask | None:
     """Return a mask [H,W] without a bulge at one side, such as a handle in front of the body; None
-    if most rows are not symmetric about one line.
+    if most rows are not symmetric about one line, or if the bulge is large.
     """
     profile = Profile.of(solid)
     rows, middle = profile.rows, profile.middle
@@ -262,7 +266,8 @@ def _without_bulge(solid: Mask) -> Mask | None:
     if best is None:
         return None
     lean, start = np.polyfit(rows[best], middle[best], 1)
-    return solid & _mirror(solid, rows, lean * rows + start)
+    body = solid & _mirror(solid, rows, lean * rows + start)
+    return body if body.sum() >= (1 - LARGEST) * solid.sum() else None
 
 
 def _mirror(solid: Mask, rows: Field, axes: Field) -> Mask:
