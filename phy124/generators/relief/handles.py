@@ -163,6 +163,8 @@ def _azimuth(places: Field, core: Mask, side: float, lathe: Lathe, offset: float
 def _tilt(out: Field, height: Field) -> float:
     """Return the slope of the line halfway between a handle's upper and lower edge."""
     upper = height > np.median(height)
+    if not upper.any():
+        return 0.0
     start = max(out[upper].min(), out[~upper].min())
     strip = np.floor((out - start) / STRIP).astype(int)
     number = np.arange(strip.max())  # the last strip is only partly covered

@@ -23,10 +23,13 @@ surface is below the cell's centre.
 THIN = wp.constant(0.02)
 """Thickness of the thinnest layer with pressure [cells]; in a thinner layer, particles are drops.
 """
-SPARSE = wp.constant(0.1)
-"""The surface of a layer is below the second cell away from a wall: this cell's fill is less than
-this fraction of the fill of the cell at the wall.
+SPARSE, HALF = wp.constant(0.1), wp.constant(0.5)
+"""The surface of a layer is below the second cell away from a wall that is perpendicular to an
+axis, and below the next cell away from other walls: the fill of that cell is less than the fraction
+`SPARSE` or `HALF` of the fill of the cell at the wall.
 """
+FLAT = wp.constant(0.999)
+"""A wall is perpendicular to an axis if the cosine of their angle exceeds this."""
 LEAST = wp.constant(0.004)
 """Lower limit of the open part of a B-spline around a cell. Of an open cell in the corner of a
 tank, at least this part is open.
@@ -79,6 +82,16 @@ def filled_share(volume: Any, solid: Any, dx: Any):
 
 
 @wp.func
+def is_flat(distances: wp.array(dtype=Any), cell: wp.vec3i, size: wp.vec3i, dx: Any):
+    """Return whether the wall nearest to a cell is perpendicular to an axis."""
+    here = item(distances, point(cell, 1, 1, 1, size))
+    x = wp.abs(item(distances, point(cell, 3, 1, 1, size)) - here)
+    y = wp.abs(item(distances, point(cell, 1, 3, 1, size)) - here)
+    z = wp.abs(item(distances, point(cell, 1, 1, 3, size)) - here)
+    return wp.max(x, wp.max(y, z)) > type(dx)(FLAT) * dx
+
+
+@wp.func
 def layer_on_wall(
     cells: wp.array(dtype=Any),
     component: int,
@@ -87,31 +100,36 @@ def layer_on_wall(
     n: int,
     size: wp.vec3i,
     dx: Any,
+    flat: bool,
 ):
     """Return the thickness of a liquid layer on a wall [cells], and the index of its cell at the
     wall.
 
-    The layer's surface is in the cell n, which is at the wall or the next cell away from it. The
-    thickness is 0 without such a layer. In a narrow gap, the second cell away from the wall may be
-    inside the opposite wall.
+    The layer's surface is in the cell n, which is at the wall. If the wall is `flat`, that is
+    perpendicular to an axis, the cell n may also be the next cell away from the wall. The thickness
+    is 0 without such a layer. In a narrow gap, the second cell away from the wall may be inside the
+    opposite wall.
     """
     unit = type(dx)(1.0)
     thick = type(dx)(0.0)
     base = n
+    sparse = type(dx)(wp.where(flat, SPARSE, HALF))
     # The loop count is not a constant, so that the compiler does not unroll the loop.
-    last = int(2)
+    first, last = wp.where(flat, -1, 0), wp.where(flat, 2, 1)
     for axis in range(3):
         step = stride(axis, size)
-        for k in range(-1, last):
+        for k in range(first, last):
             m = n + k * step
             jump = item(open, m + step)[axis] - item(open, m)[axis]
             if wp.abs(jump) > type(dx)(0.5) and jump * type(dx)(k) <= type(dx)(0.0):
-                far = m + 2 * int(wp.sign(jump)) * step
+                away = int(wp.sign(jump)) * step
+                dry = m + wp.where(flat, 2, 1) * away
+                far = m + 2 * away
                 near = filled_share(item(cells, m)[component], item(shares, m)[1], dx)
-                most = type(dx)(SPARSE) * near
+                most = sparse * near
                 if (
                     near < unit
-                    and filled_share(item(cells, far)[component], item(shares, far)[1], dx) < most
+                    and filled_share(item(cells, dry)[component], item(shares, dry)[1], dx) < most
                 ):
                     volume = type(dx)(0.0)
                     for i in range(5):
@@ -163,11 +181,13 @@ def level(
     wet = int(0)
     cell = cell_of(n, size)
     height = type(dx)(EMPTY)
+    flat = bool(False)
     if item(shares, n)[1] > zero:
         middle = point(cell, 1, 1, 1, size)
         if item(owners, middle) < solid:
             height = item(distances, middle) / dx
-    if (filled > zero or height < zero) and inner(cell, size, 2):
+            flat = is_flat(distances, cell, size, dx)
+    if (filled > zero or (flat and height < zero)) and inner(cell, size, 2):
         if opening(open, n, size) <= type(dx)(SHUT):
             rim = (type(dx)(1.0) - item(shares, n)[1]) / type(dx)(RIM)
             filled *= type(dx)(0.5) * wp.min(rim, type(dx)(1.0))
@@ -178,12 +198,12 @@ def level(
             thick = zero
             base = n
             if height < type(dx)(EMPTY) and filled < type(dx)(1.0) and inner(cell, size, 3):
-                thick, base = layer_on_wall(cells, component, open, shares, n, size, dx)
+                thick, base = layer_on_wall(cells, component, open, shares, n, size, dx, flat)
             if thick > zero:
                 phi = item(distances, point(cell_of(base, size), 1, 1, 1, size)) / dx - thick
                 if base != n:
                     phi += type(dx)(1.0)
-                wet = wp.where(phi < zero and thick >= type(dx)(THIN), 1, 0)
+                wet = wp.where(flat and phi < zero and thick >= type(dx)(THIN), 1, 0)
                 if base == n:
                     wet = wp.where(filled >= type(dx)(LONE), 1, wet)
                     filled = type(dx)(wet)
