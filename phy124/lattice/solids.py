@@ -219,6 +219,7 @@ class _Touch(Kept):
             far = distances_from(solid.shape, solid.geometry(), model, local)
             normal = far[:, :3] @ solid.axes.T
             space = initial_gaps(far[:, 3], normal, surface.normal, model.dx)
+            space[surface.is_inner] = -np.inf
         self.space = model.array(space, model.real)
         """Distance from the solid at which contact with each point begins [S], m; -inf before the
         point is first near the solid.

@@ -60,6 +60,8 @@ class Surface:
     """Weights of each surface point's nodes [S,27], with sum 1."""
     is_protrusion: NDArray[np.bool_]
     """Whether each surface point is a Gaussian outside the material [S]."""
+    is_inner: NDArray[np.bool_]
+    """Whether each surface point is an integration point in a tip, inside the material [S]."""
     of_nodes: NDArray[np.float64]
     """Positions at rest of all nodes [N,3], m."""
     dx: float
@@ -196,7 +198,8 @@ def make_surface(points: NDArray, lattice: RestLattice) -> Surface:
     within = inner >= 0
     if within.any():
         nodes[within], weights[within] = exact_weights(inner[within], x[within], lattice)
-    return Surface(x, normal, body, side, nodes, weights, is_protrusion, lattice.x, lattice.dx)
+    kind = is_protrusion, within & ~is_protrusion
+    return Surface(x, normal, body, side, nodes, weights, *kind, lattice.x, lattice.dx)
 
 
 def _nearest_pieces(

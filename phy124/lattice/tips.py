@@ -13,7 +13,7 @@ from scipy.spatial import KDTree
 from phy124.lattice.rest import ROW, RestLattice
 from phy124.particles.lattice import PER_CELL
 
-SHARP = 0.6
+SHARP = 0.8
 """A part of a body is sharp if the mean normal within a cell is shorter than this."""
 CLOSEST = 24
 """Largest number of nearby normals that are averaged to find sharp parts."""

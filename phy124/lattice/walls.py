@@ -308,7 +308,7 @@ class _Contact(Kept):
             u = nodes.u.numpy().astype(np.float64)
             moved = (part.track(model) or STILL).values(np.array([time]))[0]
             far = distances(part, model, surface.place(u) - moved)
-            near = np.flatnonzero(np.abs(far[:, 3]) < model.dx)
+            near = np.flatnonzero((np.abs(far[:, 3]) < model.dx) & ~surface.is_inner)
             normal = surface.deform(near, u)[2]
             space[near] = initial_gaps(far[near, 3], far[near, :3], normal, model.dx)
         self.space = model.array(space, model.real)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from phy124.particles.solid import Solid
 
-ABOVE = 0.2
+ABOVE = 0.15
 """A Gaussian is a protrusion if it is higher above the nearest surface point than this [cells]."""
 ASIDE = 0.45
 """A Gaussian outside the solid is a protrusion if it is farther from all surface points than this

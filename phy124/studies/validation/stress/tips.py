@@ -17,8 +17,8 @@ from phy124.studies.validation.stress.case import Check, Setting, at_most
 
 DEEPEST = {
     ("lattice", "draft"): 0.3,
-    ("lattice", "standard"): 0.4,
-    ("lattice", "fine"): 0.4,
+    ("lattice", "standard"): 0.3,
+    ("lattice", "fine"): 0.3,
     ("mpm", "draft"): 0.4,
     ("mpm", "standard"): 0.5,
     ("mpm", "fine"): 0.5,
