@@ -7,7 +7,7 @@ import pytest
 from PIL import Image, ImageDraw
 
 from phy124.__main__ import main
-from phy124.imaging.cutout import cut_out, foreground
+from phy124.imaging.cutout import cut_out
 from phy124.imaging.hollow import find_hollow, has_gap, has_rim
 
 EXAMPLES = Path(__file__).parents[1] / "demo" / "examples"
@@ -86,13 +86,6 @@ def test_ring_has_a_gap_but_a_bay_is_none():
 @pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.png")), ids=lambda path: path.stem)
 def test_no_example_is_called_hollow(path):
     assert not list(find_hollow(*arrays(Image.open(path).convert("RGBA"))))
-
-
-@pytest.mark.slow
-def test_photograph_of_a_cup_of_coffee_has_a_rim():
-    data = pytest.importorskip("skimage.data")
-    cup = foreground(Image.fromarray(data.coffee()), "u2netp")
-    assert any("rim is seen from above" in note for note in cup.notes)
 
 
 def test_note_is_printed_and_in_the_report(tmp_path, capsys):

@@ -4,7 +4,8 @@ If a cup, bowl or pot is seen slightly from above, its rim appears as an ellipse
 the ellipse is the top of the outline, and the front half is an edge inside the outline. Below the
 rim, there is a wall. In 195 pictures (renderings of known objects, cut-outs and the examples), 17
 of 18 rims are detected, and there are 4 false detections: two of a cake, which looks like a full
-tin, one of an armchair, and one of a car.
+tin, one of an armchair, and one of a car. A rim in front of a wide saucer is not detected, because
+its ends do not lie on the outline.
 """
 
 from collections.abc import Iterator

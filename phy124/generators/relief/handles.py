@@ -161,13 +161,18 @@ def _azimuth(places: Field, core: Mask, side: float, lathe: Lathe, offset: float
 
 
 def _tilt(out: Field, height: Field) -> float:
-    """Return the slope of the line halfway between a handle's upper and lower edge."""
+    """Return the slope of the line halfway between a handle's upper and lower edge.
+
+    `out` and `height` [N] are the positions of the handle's pixels [pixels]. The slope is 0 if both
+    edges are in fewer than two vertical strips.
+    """
     upper = height > np.median(height)
     if not upper.any():
         return 0.0
     start = max(out[upper].min(), out[~upper].min())
     strip = np.floor((out - start) / STRIP).astype(int)
-    number = np.arange(strip.max())  # the last strip is only partly covered
+    number = np.intersect1d(strip[upper], strip[~upper])
+    number = number[number < strip.max()]  # the last strip is only partly covered
     if len(number) < 2:
         return 0.0
     top = np.asarray(scipy.ndimage.maximum(height, strip, number))
