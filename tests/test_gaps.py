@@ -1,5 +1,6 @@
 """Gaps that a network fills are opened on plain backgrounds, and white objects stay whole."""
 
+import cv2
 import numpy as np
 
 from phy124.imaging.gaps import open_gaps
@@ -22,6 +23,18 @@ def test_the_background_inside_a_wheel_becomes_transparent():
     mask = open_gaps(painted(GROUND, tyre, [25, 25, 30]), DISC)
     np.testing.assert_array_equal((mask > 0.5)[AWAY < 57], False)
     assert (mask > 0.5)[tyre & (AWAY > 63)].all()
+
+
+def test_mask_keeps_its_size_if_it_is_larger_than_the_reduced_image():
+    tyre = (AWAY < 70) & (AWAY > 60)
+    rgb = painted(GROUND, tyre, [25, 25, 30])
+    for side, kept in ((80, 240), (960, 960)):
+        shown = cv2.resize(rgb, (max(side, 240),) * 2, interpolation=cv2.INTER_CUBIC)
+        mask = open_gaps(shown, cv2.resize(DISC, (side, side)))
+        assert mask.shape == (kept, kept)
+        scale = kept / 240
+        assert mask[round(120 * scale), round(120 * scale)] == 0
+        assert mask[round(120 * scale), round((120 + 65) * scale)] > 0.5
 
 
 def test_highlights_and_other_colours_stay_opaque():

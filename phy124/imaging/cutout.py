@@ -249,7 +249,7 @@ def foreground(
     elif method not in TAKEN_WHOLE:
         alpha, count = keep_largest(alpha)
         if not shows_object(alpha > 127):
-            alpha = _search_conspicuous(image, method, deadline)
+            alpha, count = _search_conspicuous(image, method, deadline), 1
     _check_fraction(alpha, method, frames)
     searched = pick is None and method not in TAKEN_WHOLE
     touching = searched and split_touching(np.asarray(image.convert("RGB")), alpha) is not None

@@ -24,6 +24,8 @@ SMOOTH = 0.06
 """Smallest standard deviation of the filter that continues the background across the object,
 relative to the image's longest side.
 """
+REDUCED = 4
+"""Factor by which the image is reduced for this filter."""
 PLAIN = 3.0
 """Largest difference of a plain background from its continuation, for 90 % of the pixels [CIE Lab
 units]; gaps may differ by the same amount.
@@ -37,15 +39,19 @@ SHARP = 4.0
 
 
 def open_gaps(rgb: NDArray[np.uint8], coarse: Field) -> Field:
-    """Remove gaps from a mask [h,w] of an object on a plain background in an image [H,W,3]."""
+    """Remove gaps from a mask [h,w] of an object on a plain background in an image [H,W,3].
+
+    The result with gaps has `SIDE` pixels along its longest side, or the size of the mask if this
+    is larger.
+    """
     size = reduce_size(rgb.shape, SIDE)
     small = np.asarray(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA), np.uint8)
-    mask = resize(coarse, size)
-    lab, solid = to_lab(small), mask > 0.5
-    background = _continue_background(lab, solid)
+    lab, solid = to_lab(small), resize(coarse, size) > 0.5
+    smooth = _blur(lab, 1.0)
+    background = _continue_background(smooth, solid)
     if background is None:
         return coarse
-    alike = np.linalg.norm(_blur(lab, 1.0) - background, axis=2) < PLAIN
+    alike = np.linalg.norm(smooth - background, axis=2) < PLAIN
     alike &= background[..., 0] < WHITE
     count, labels, stats, _ = cv2.connectedComponentsWithStats(
         alike.astype(np.uint8), connectivity=4
@@ -60,11 +66,17 @@ def open_gaps(rgb: NDArray[np.uint8], coarse: Field) -> Field:
         wide = cv2.dilate(gap, np.ones((3, 3), np.uint8)) > 0
         if change[wide & (gap == 0)].mean() > SHARP:
             gaps |= wide
-    return np.where(gaps, np.float32(0), mask) if (gaps & solid).any() else coarse
+    if not (gaps & solid).any():
+        return coarse
+    larger = size if max(coarse.shape) < max(size) else coarse.shape[::-1]
+    return np.where(resize(gaps.astype(np.float32), larger) > 0.5, 0, resize(coarse, larger))
 
 
 def _continue_background(lab: Field, solid: NDArray[np.bool_]) -> Field | None:
-    """Return the background's colours [h,w,3], continued across the object; None if not plain."""
+    """Return the background's colours [h,w,3], continued across the object; None if not plain.
+
+    `lab` [h,w,3] are the colours of the image [CIE Lab], and `solid` [h,w] is the object's mask.
+    """
     side = max(solid.shape)
     far = cv2.distanceTransform((~solid).astype(np.uint8), cv2.DIST_L2, 5) / side
     known = (far > AWAY).astype(np.float32)
@@ -74,9 +86,15 @@ def _continue_background(lab: Field, solid: NDArray[np.bool_]) -> Field | None:
     # The filter's window, four deviations wide on each side, reaches the innermost pixels.
     deep = float(cv2.distanceTransform((known == 0).astype(np.uint8), cv2.DIST_L2, 5).max())
     deviation = max(SMOOTH * side, deep / 4)
-    weight, total = _blur(known, deviation), _blur(lab * known[..., None], deviation)
-    background = np.asarray(total / np.maximum(weight, 1e-6)[..., None], np.float32)
-    unlike = np.linalg.norm(_blur(lab, 1.0) - background, axis=2)[near]
+    # The result is smooth, so it is computed on a reduced image, which is faster.
+    size = known.shape[::-1]
+    reduced = tuple(-(-length // REDUCED) for length in size)
+    weight, total = (
+        _blur(cv2.resize(values, reduced, interpolation=cv2.INTER_AREA), deviation / REDUCED)
+        for values in (known, lab * known[..., None])
+    )
+    background = resize(np.asarray(total / np.maximum(weight, 1e-6)[..., None], np.float32), size)
+    unlike = np.linalg.norm(lab - background, axis=2)[near]
     return background if np.quantile(unlike, 0.9) < PLAIN else None
 
 

@@ -106,24 +106,20 @@ def look_beyond(
     width, height = size = reduce_size(rgb.shape, SIDE)
     small = np.asarray(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA), np.uint8)
     first = resize(coarse, size)
-    if not _reaches_border(first) and _measure_doubt(small, first) <= DOUBTFUL:
+    doubt = _measure_doubt(small, first)
+    if not _reaches_border(first) and doubt <= DOUBTFUL:
         return coarse
     margin = 1 + int(BEYOND * max(size))
     wider = np.pad(small, ((margin, margin), (margin, margin), (0, 0)), mode="edge")
     around = saliency(wider, network)
     second = resize(around, (width + 2 * margin, height + 2 * margin))
     second = second[margin:-margin, margin:-margin]
-    return second if _reaches_border(second) and _is_better(small, second, first) else coarse
+    is_better = _reaches_border(second) and _measure_doubt(small, second) < doubt
+    return second if is_better else coarse
 
 
 def _reaches_border(mask: NDArray[np.float32]) -> bool:
     return any(bool((side > 0.5).any()) for side in (mask[0], mask[-1], mask[:, 0], mask[:, -1]))
-
-
-def _is_better(
-    rgb: NDArray[np.uint8], second: NDArray[np.float32], first: NDArray[np.float32]
-) -> bool:
-    return _measure_doubt(rgb, second) < _measure_doubt(rgb, first)
 
 
 def _measure_doubt(rgb: NDArray[np.uint8], mask: NDArray[np.float32]) -> float:
@@ -162,8 +158,11 @@ def look_closer(
     closer = closer[margin : margin + height, margin : margin + width]
     second = closer > 0.5
     both = np.count_nonzero(first & second) / np.count_nonzero(first | second)
-    agreed = both >= AGREED and (not _reaches_border(closer) or _is_better(rgb, closer, whole))
-    return closer if agreed else coarse
+    if both < AGREED:
+        return coarse
+    if _reaches_border(closer) and _measure_doubt(rgb, closer) >= _measure_doubt(rgb, whole):
+        return coarse
+    return closer
 
 
 def load(path: str | os.PathLike[str]) -> Network:
