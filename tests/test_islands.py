@@ -94,3 +94,13 @@ def test_no_error_is_stated_for_separate_pieces():
     scene = Scene.named("spin")
     assert promise(scene, Proportions(0.5, 0.3)).error is not None
     assert promise(scene, Proportions(0.5, 0.3, pieces=2)).error is None
+
+
+def test_static_piece_has_no_surface():
+    both = balls(0.1)
+    count = len(both) // 2
+    parts = [{"gaussians": [count, 2 * count], "static": True}]
+    scene = Scene.named("drop").replaced({"accuracy.cells": 16, "parts": parts})
+    surface = prepare(both, scene).particles.surface
+    assert surface is not None
+    assert np.ptp(surface[:, :3], axis=0).max() < 0.6 < np.ptp(both.means[:, 1])

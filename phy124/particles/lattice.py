@@ -87,11 +87,13 @@ def _cut_to_moving(
 ) -> Particles:
     """Return the points without the surface points of static parts."""
     moving = ~parts.static[parts.find(points.x.reshape(-1, PER_CELL, 3).mean(axis=1))]
-    if moving.all() or not moving.any():
+    assert points.surface is not None
+    if moving.all():
         return points
+    if not moving.any():
+        return replace(points, surface=points.surface[:0])
     # The last entry is for voxels without a cell.
     rows = _cut_surface(solid, np.append(moving, False)[cell], dx)
-    assert points.surface is not None
     protrusions = points.surface[points.surface[:, 7] > 0]
     protrusions = protrusions[~parts.static[parts.find(protrusions[:, :3])]]
     return replace(points, surface=np.concatenate([rows, protrusions]))
