@@ -72,7 +72,7 @@ class Meeting:
         self._partners = partners
         self._between = bodies[0] != bodies[1]
         self._sample = sample
-        self._mine = np.flatnonzero(np.isin(surface.body, bodies) & ~surface.is_protrusion)
+        self._mine = np.flatnonzero(np.isin(surface.body, bodies) & surface.meets_bodies)
         self._nearest = np.zeros(len(self._mine), np.int64)
         for body in set(bodies):
             those, chosen = surface.body[self._mine] == body, surface.body[sample] == body

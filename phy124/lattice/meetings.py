@@ -51,7 +51,7 @@ class Meetings(Kept):
         self._slack = 0.0
         """Relative displacement after which the surfaces are compared again [m]."""
         self._dx = model.dx
-        inside = np.flatnonzero(~surface.is_protrusion)
+        inside = np.flatnonzero(surface.meets_bodies)
         cube = np.floor(surface.x[inside] / (SAMPLED * model.dx)).astype(np.int64)
         keys = np.column_stack([surface.body[inside], cube])
         sample = inside[np.unique(keys, axis=0, return_index=True)[1]]

@@ -36,6 +36,10 @@ FLAT, EVEN = 0.9, 10
 """A surface point lies at an edge if the mean normal within a cell is shorter than `FLAT`. The
 evenness of flat parts is `EVEN`; smaller numbers are levels of the length of the mean normal.
 """
+ON_SURFACE, PROTRUSION, IN_TIP, IN_EDGE = range(4)
+"""Kinds of surface points: points on the surface, Gaussians outside the material, and integration
+points in tips and in edges.
+"""
 REGULAR = 1e-5
 """Smallest det / trace^3 of matrices of second moments that are inverted by cofactors."""
 
@@ -58,10 +62,8 @@ class Surface:
     """Nodes of each point [S,27]: nine groups of three nodes that are consecutive in memory."""
     weights: NDArray[np.float64]
     """Weights of each surface point's nodes [S,27], with sum 1."""
-    is_protrusion: NDArray[np.bool_]
-    """Whether each surface point is a Gaussian outside the material [S]."""
-    is_inner: NDArray[np.bool_]
-    """Whether each surface point is an integration point in a tip, inside the material [S]."""
+    kind: NDArray[np.int64]
+    """Kind of each surface point [S]: `ON_SURFACE`, `PROTRUSION`, `IN_TIP` or `IN_EDGE`."""
     of_nodes: NDArray[np.float64]
     """Positions at rest of all nodes [N,3], m."""
     dx: float
@@ -72,6 +74,24 @@ class Surface:
         """Number of surface points."""
         return len(self.x)
 
+    @property
+    def is_protrusion(self) -> NDArray[np.bool_]:
+        """Whether each surface point is a Gaussian outside the material [S]."""
+        return self.kind == PROTRUSION
+
+    @property
+    def is_inner(self) -> NDArray[np.bool_]:
+        """Whether each surface point is an integration point inside the material [S]."""
+        return (self.kind == IN_TIP) | (self.kind == IN_EDGE)
+
+    @property
+    def meets_bodies(self) -> NDArray[np.bool_]:
+        """Whether each surface point can touch elastic bodies [S]; all points can touch walls.
+
+        A block that slides along the edge of another block would be stopped by points in edges.
+        """
+        return (self.kind == ON_SURFACE) | (self.kind == IN_TIP)
+
     @cached_property
     def slopes(self) -> Lazy:
         """Weights of the nodes in the gradient at each point [S,27,3], 1/m."""
@@ -81,7 +101,9 @@ class Surface:
     @cached_property
     def evenness(self) -> Lazy:
         """Agreement of the normals near each point [S], from 0 to `EVEN`."""
-        compute = partial(_evenness_at, self.x, self.normal, self.body, self.dx, KDTree(self.x))
+        outer = np.flatnonzero(self.kind != IN_EDGE)
+        around = outer, KDTree(self.x[outer])
+        compute = partial(_evenness_at, self.x, self.normal, self.body, self.dx, around)
         return Lazy(np.zeros(self.count, np.int64), compute)
 
     def place(self, u: NDArray) -> NDArray[np.float64]:
@@ -134,16 +156,23 @@ def _slopes_at(
 
 
 def _evenness_at(
-    x: NDArray, normal: NDArray, body: NDArray, dx: float, tree: KDTree, points: NDArray[np.int64]
+    x: NDArray,
+    normal: NDArray,
+    body: NDArray,
+    dx: float,
+    around: tuple[NDArray[np.int64], KDTree],
+    points: NDArray[np.int64],
 ) -> NDArray[np.int64]:
+    outer, tree = around
     near = KDTree(x[points]).sparse_distance_matrix(tree, dx, output_type="ndarray")
-    a, b = near["i"], near["j"]
+    a, b = near["i"], outer[near["j"]]
     # Points on the opposite side of a thin part are ignored.
     aligned = (normal[points][a] * normal[b]).sum(axis=1) > OTHER
     same = (b == points[a]) | (aligned & (body[b] == body[points][a]))
     a, b = a[same], b[same]
     total = [np.bincount(a, n, len(points)) for n in normal[b].T]
-    length, enough = np.linalg.norm(total, axis=0), FLAT * np.bincount(a)
+    length = np.linalg.norm(total, axis=0)
+    enough = FLAT * np.maximum(np.bincount(a, minlength=len(points)), 1)
     level = np.minimum((EVEN * length / enough).astype(np.int64), EVEN - 1)
     return np.where(length > enough, EVEN, level)
 
@@ -155,12 +184,14 @@ def make_surface(points: NDArray, lattice: RestLattice) -> Surface:
     """
     protrudes = points[:, 7] > 0
     points, protrusions = points[~protrudes], points[protrudes]
-    tips = points_in_tips(points, lattice)
+    tips, in_edge = points_in_tips(points, lattice)
     inner = np.concatenate([np.full(len(points), -1), tips, nearest_points(protrusions, lattice)])
+    kinds = np.repeat([ON_SURFACE, IN_TIP, PROTRUSION], [len(points), len(tips), len(protrusions)])
+    kinds[len(points) : len(points) + len(tips)][in_edge] = IN_EDGE
     points = np.concatenate([points, rows_of(tips, lattice), protrusions])
     parity = np.floor(points[:, :3] / (APART * lattice.dx) - 1e-6).astype(np.int64) % 2
     order = np.argsort(parity @ [4, 2, 1], kind="stable")
-    points, inner = points[order], inner[order]
+    points, inner, kinds = points[order], inner[order], kinds[order]
     x, normal, body = points[:, :3], points[:, 3:6], points[:, 6].astype(np.int64)
     at = x / lattice.dx - INSIDE * normal
     within = inner >= 0
@@ -183,8 +214,7 @@ def make_surface(points: NDArray, lattice: RestLattice) -> Surface:
     weights[near] = _within_rows(nodes[near], weights[near])
     supported = weights.sum(axis=1) > SUPPORTED
     x, normal, weights, inner = (values[supported] for values in (x, normal, weights, inner))
-    is_protrusion = points[supported, 7] > 0
-    body, side, nodes = (values[supported] for values in (body, side, nodes))
+    body, side, nodes, kinds = (values[supported] for values in (body, side, nodes, kinds))
     arm = index[supported] + 0.5 - (x / lattice.dx)[:, None]
     weighted = weights[:, :, None] * arm
     first, second = weighted.sum(axis=1), np.swapaxes(weighted, 1, 2) @ arm
@@ -198,8 +228,7 @@ def make_surface(points: NDArray, lattice: RestLattice) -> Surface:
     within = inner >= 0
     if within.any():
         nodes[within], weights[within] = exact_weights(inner[within], x[within], lattice)
-    kind = is_protrusion, within & ~is_protrusion
-    return Surface(x, normal, body, side, nodes, weights, *kind, lattice.x, lattice.dx)
+    return Surface(x, normal, body, side, nodes, weights, kinds, lattice.x, lattice.dx)
 
 
 def _nearest_pieces(

@@ -13,8 +13,10 @@ from scipy.spatial import KDTree
 from phy124.lattice.rest import ROW, RestLattice
 from phy124.particles.lattice import PER_CELL
 
-SHARP = 0.8
-"""A part of a body is sharp if the mean normal within a cell is shorter than this."""
+SHARP, EDGE = 0.6, 0.85
+"""A part of a body is sharp if the mean normal within a cell is shorter than `SHARP`, and an edge if
+it is longer than `SHARP` but shorter than `EDGE`.
+"""
 CLOSEST = 24
 """Largest number of nearby normals that are averaged to find sharp parts."""
 CELLS = 4
@@ -23,15 +25,18 @@ ABOVE = 0.3
 """Integration points higher above the surface than this serve as surface points [cells]."""
 
 
-def points_in_tips(points: NDArray, lattice: RestLattice) -> NDArray[np.int64]:
-    """Return the integration points that are in sharp parts of a body and use tied nodes [K].
+def points_in_tips(
+    points: NDArray, lattice: RestLattice
+) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Return the integration points in sharp parts and edges of a body that use tied nodes [K], and
+    whether each is in an edge [K].
 
     `points` [S,8] are rows as in `Particles.surface`.
     """
     light = lattice.tied[lattice.source[lattice.tied] == lattice.tied]
     cells = np.flatnonzero(np.isin(lattice.nodes_of(), light).any(axis=1))
     if not len(cells) or not len(points):
-        return np.zeros(0, np.int64)
+        return np.zeros(0, np.int64), np.zeros(0, bool)
     inner = (cells[:, None] * PER_CELL + np.arange(PER_CELL)).ravel()
     rows = rows_of(inner, lattice)
     count = min(CLOSEST, len(points))
@@ -42,10 +47,12 @@ def points_in_tips(points: NDArray, lattice: RestLattice) -> NDArray[np.int64]:
     near = np.minimum(near, len(points) - 1)
     same = np.isfinite(distance) & (points[near, 6] == rows[:, 6:7])
     total = (points[near, 3:6] * same[:, :, None]).sum(axis=1)
-    sharp = np.linalg.norm(total, axis=1) < SHARP * same.sum(axis=1)
+    length, number = np.linalg.norm(total, axis=1), same.sum(axis=1)
     nearest = points[near[:, 0]]
     height = ((rows[:, :3] - nearest[:, :3]) * nearest[:, 3:6]).sum(axis=1)
-    return inner[sharp | (same[:, 0] & (height > ABOVE * lattice.dx))]
+    sharp = (length < SHARP * number) | (same[:, 0] & (height > ABOVE * lattice.dx))
+    chosen = sharp | (length < EDGE * number)
+    return inner[chosen], ~sharp[chosen]
 
 
 def rows_of(inner: NDArray[np.int64], lattice: RestLattice) -> NDArray[np.float64]:
