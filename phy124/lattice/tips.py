@@ -14,8 +14,8 @@ from phy124.lattice.rest import ROW, RestLattice
 from phy124.particles.lattice import PER_CELL
 
 SHARP, EDGE = 0.6, 0.85
-"""A part of a body is sharp if the mean normal within a cell is shorter than `SHARP`, and an edge if
-it is longer than `SHARP` but shorter than `EDGE`.
+"""A part of a body is sharp if the mean normal within a cell is shorter than `SHARP`. It is an edge
+if the mean normal is longer than `SHARP` but shorter than `EDGE`.
 """
 CLOSEST = 24
 """Largest number of nearby normals that are averaged to find sharp parts."""
