@@ -1,6 +1,7 @@
 """Bodies on lattices together with bodies of the material point method (phy124/lattice/coupled)."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from phy124.forces import Gravity, Impulse, TotalForce
 from phy124.lattice.clamps import acts_on
 from phy124.lattice.coupled import CoupledSolver
 from phy124.lattice.shock import STALLED
+from phy124.lattice.surface import IN_EDGE, IN_TIP, ON_SURFACE, PROTRUSION
 from phy124.materials import Fluid, NeoHookean
 from phy124.mpm import Model, Pair, State
 from phy124.particles.lattice import lattice_of
@@ -63,6 +65,16 @@ def test_lattice_hits_particles_with_exact_momentum():
     assert after[1, 0] > 0.7 * before[1, 0]
     (force, _), *_ = solver.pairs.wrenches(1.0).values()
     assert np.allclose(force, after[1] - before[1], rtol=0, atol=1e-9)
+
+
+def test_points_in_edges_and_protrusions_do_not_touch_particles():
+    """Points in edges lie inside the material, and protrusions are Gaussians outside it."""
+    solid = block((0.3,) * 3, low=(0.6, 0.3, 0.3))
+    solid = replace(solid, means=np.array([[0.75, 0.45, 0.3 - 0.5 * DX]], np.float32))
+    solver = make((6, 6, 6), (0.2, 0.2, 0.2), solid)
+    surface, (material,) = solver.lattice.surface, solver.lattice.guests
+    assert {PROTRUSION, IN_EDGE} < set(surface.kind)
+    assert set(surface.kind[material._mine]) <= {ON_SURFACE, IN_TIP}
 
 
 def test_lattices_have_the_length_of_the_last_substep():

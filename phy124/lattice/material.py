@@ -48,7 +48,7 @@ class Material(Kept):
         """
         self.pair, self._model, self._nodes = pair, model, nodes
         self._fill, self._moves = fill, int(moves)
-        self._mine = surface.body == body
+        self._mine = (surface.body == body) & surface.meets_bodies
         t, count, device = types(model.real), surface.count, model.device
 
         def zeros(kind: Any) -> wp.array:
